@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+# One command an intent. `make run` and `make test` work on a fresh Debian 12.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+
+BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
+  libopenblas-serial-dev libsuitesparse-dev libeigen3-dev \
+  cyclonedds-dev cyclonedds-tools libboost1.81-dev libspdlog-dev \
+  libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev
+TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx
+CHECK_PACKAGES := clang clang-format clang-tidy libclang-rt-14-dev
+SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
+
+# install-packages LIST: asks apt only for what is missing.
+define install-packages
+	@missing=""; for p in $(1); do \
+	  dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$p"; done; \
+	if [ -n "$$missing" ]; then echo "installing:$$missing"; \
+	  $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq --no-install-recommends $$missing >/dev/null; fi
+endef
+
+.PHONY: help
+help: ## List the commands
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
+
+.PHONY: deps-build deps-test deps-check
+deps-build:
+	$(call install-packages,$(BUILD_PACKAGES))
+deps-test: deps-build
+	$(call install-packages,$(TEST_PACKAGES))
+deps-check: deps-test
+	$(call install-packages,$(CHECK_PACKAGES))
+
+.PHONY: build
+build: deps-build ## Build the release binaries
+	@cmake --preset release -DSUTURED_TESTS=OFF -DSUTURED_BENCH=OFF >/dev/null
+	@cmake --build --preset release
+
+.PHONY: test
+test: deps-test ## Build and run every test
+	@cmake --preset dev >/dev/null
+	@cmake --build --preset dev
+	@ctest --preset dev --progress
+
+.PHONY: format
+format: deps-check ## Rewrite the sources in the house style
+	@git ls-files '*.cpp' '*.hpp' | xargs -r clang-format -i

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// What a scene file says, checked and with its meshes read: plain values.
+// `read_scene` makes one, `build_simulation` turns one into a simulation.
+#pragma once
+
+#include <Eigen/Geometry>
+#include <array>
+#include <limits>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "geometry/tet_mesh.hpp"
+
+namespace sutured::scene {
+
+using geometry::Vec3;
+
+/// A rigid transform; maps coordinates of the named frame to the world.
+struct Pose {
+  Vec3 position_m = Vec3::Zero();
+  Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
+};
+
+/// Another material in one physical volume of the mesh.
+struct Region {
+  std::string group;
+  double young_modulus_pa = 0.0;
+  double poisson_ratio = 0.0;
+};
+
+/// A displacement imposed on vertices of the tissue, zero for fixed ones.
+/// Axes are of the world; a free axis carries the load instead.
+struct Prescribed {
+  std::vector<std::int32_t> vertices;  ///< of the tissue's mesh
+  std::array<bool, 3> axes{true, true, true};
+  Vec3 displacement_m = Vec3::Zero();
+};
+
+/// A dead load: `force_n[i]` acts on vertex `vertices[i]` of the tissue's mesh.
+struct NodalLoad {
+  std::vector<std::int32_t> vertices;
+  std::vector<Vec3> force_n;
+};
+
+struct Tissue {
+  std::string name;
+  std::string mesh_path;
+  geometry::TetMesh mesh;
+  double young_modulus_pa = 0.0;
+  double poisson_ratio = 0.0;
+  double density_kg_per_m3 = 1000.0;  ///< matters under gravity only
+  double puncture_force_n = 0.05;
+  double friction_n_s_per_m2 = 20.0;       ///< viscous, per metre of embedded needle
+  double static_friction_n_per_m = 2.0;    ///< holds a needle that nobody holds
+  double surface_friction_coefficient = 0.5;  ///< of the tip's friction cone
+  std::vector<Region> regions;
+  std::vector<Prescribed> prescribed;
+  std::vector<NodalLoad> loads;
+};
+
+enum class NeedleShape { kStraight, kArc };
+enum class SlideRule { kEnergyConsistent, kLeastSquares };
+
+struct Needle {
+  std::string name;
+  NeedleShape shape = NeedleShape::kArc;
+  double radius_m = 0.008;  ///< of the arc
+  double arc_deg = 180.0;
+  double length_m = 0.025;  ///< of a straight needle; an arc's follows
+  double diameter_m = 0.0006;
+  Pose pose;
+  SlideRule slide = SlideRule::kEnergyConsistent;
+};
+
+enum class ToolKind { kDriver, kProbe };
+
+/// The device's frame in the world, and how the hand's motion is scaled into it.
+struct Workspace {
+  Pose pose;
+  double motion_scale = 1.0;
+  double force_scale = 1.0;
+  int clutch_button = -1;  ///< bit of ToolPose.buttons, or -1 for none
+};
+
+struct Tool {
+  std::string name;
+  ToolKind kind = ToolKind::kDriver;
+  double capture_radius_m = 0.003;
+  double probe_radius_m = 0.002;
+  double max_force_n = 3.3;
+  double max_torque_nm = 0.1;
+  double max_force_slew_n_per_s = 500.0;
+  double max_torque_slew_nm_per_s = 15.0;
+  double stale_after_ms = 15.0;
+  double grip_stiffness_n_per_m = 2000.0;
+  double grip_stiffness_nm_per_rad = 0.5;
+  double grip_force_max_n = 5.0;
+  double grip_torque_max_nm = 0.05;
+  double max_speed_m_per_s = 2.0;  ///< in the device's frame; beyond it a pose is a jump
+  Workspace workspace;
+};
+
+struct Scene {
+  std::string name;
+  std::string path;
+  double rate_hz = 250.0;
+  Vec3 gravity_m_per_s2 = Vec3::Zero();
+  std::vector<Tissue> tissues;
+  std::vector<Needle> needles;
+  std::vector<Tool> tools;
+};
+
+}  // namespace sutured::scene

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// What crosses the border of a simulation: tool poses in, responses and events out.
+// World frame and SI units throughout; rigid motions are twists (translation,
+// rotation vector) in that order, wrenches (force, torque) likewise.
+#pragma once
+
+#include <Eigen/Geometry>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace sutured::simulation {
+
+using Vec3 = Eigen::Vector3d;
+using Vec6 = Eigen::Matrix<double, 6, 1>;
+using Mat6 = Eigen::Matrix<double, 6, 6>;
+
+/// Where a tool is at the end of a step. A tool that is absent holds nothing and feels nothing.
+struct ToolInput {
+  bool present = false;
+  Vec3 position_m = Vec3::Zero();
+  Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
+  double jaw = 0.0;  ///< 0 open … 1 closed
+};
+
+/// Unilateral rows that may still switch while a tool moves, all else condensed out
+/// (DESIGN section 5):
+///
+///     gap(ξ) = S λ − q − Ĵ ξ,   0 ≤ λ ≤ λ_max,   gap ⟂ λ
+///     w(ξ)   = w_0 − A_0 ξ − Ĵᵀ λ
+///
+///   S  m × m  m/N   Ĵ  m × 6  (tool's twist)   q  m  m
+struct CondensedProblem {
+  Eigen::MatrixXd compliance_m_per_n;    ///< S
+  Eigen::Matrix<double, Eigen::Dynamic, 6> jacobian;  ///< Ĵ
+  Eigen::VectorXd offset_m;              ///< q
+  Eigen::VectorXd multiplier_n;          ///< λ at ξ = 0
+  Eigen::VectorXd multiplier_max_n;      ///< λ_max, +inf where unbounded
+};
+
+/// What a tool feels, and how that changes with its small motion ξ since `reference`:
+///
+///     w(ξ) = wrench − stiffness ξ        while the active set holds
+///
+/// at the tool's origin, world axes, force on the tool (the hand). `stiffness` has
+/// the slide removed (A P of DESIGN section 5).
+struct ToolResponse {
+  ToolInput reference;
+  Vec6 wrench = Vec6::Zero();    ///< N, N·m
+  Mat6 stiffness = Mat6::Zero();  ///< N/m, N, N·m/rad
+  Vec6 bilateral_wrench = Vec6::Zero();    ///< w_0: with every row of `condensed` at λ = 0
+  Mat6 bilateral_stiffness = Mat6::Zero();  ///< A_0
+  CondensedProblem condensed;
+  Vec6 slide_twist = Vec6::Zero();  ///< s, unit slide of the needle held; zero if none
+  double slide_friction_n = 0.0;    ///< f along s
+  bool touching = false;            ///< false: the wrench is exactly zero
+  bool world_changed = false;       ///< a contact, puncture, grasp or release in this step
+};
+
+enum class EventKind : std::uint8_t {
+  kGrasp, kRelease, kContact, kPuncture, kExit, kGripSlip, kLimit, kSolverResidual
+};
+
+/// Something that happened in a step.
+struct Event {
+  EventKind kind{};
+  double time_s = 0.0;
+  std::string subject;   ///< the tool or needle it happened to
+  std::string object;    ///< the tissue, needle or tool on the other side
+  Vec3 position_m = Vec3::Zero();
+  double force_n = 0.0;  ///< at the moment of the event
+};
+
+/// A needle as viewers see it.
+struct NeedleState {
+  Vec3 position_m = Vec3::Zero();  ///< of the needle's frame
+  Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
+  int holder = -1;                 ///< index of a tool that grips it, or −1
+  int active_cells = 0;
+  double embedded_length_m = 0.0;
+  double tip_force_n = 0.0;
+  bool tip_inside = false;
+};
+
+/// One line of steps.csv, and where the time went.
+struct StepReport {
+  std::uint64_t step = 0;
+  double time_s = 0.0;
+  int substeps = 0;
+  int rows = 0;
+  int active_unilateral_rows = 0;
+  int contacts = 0;
+  double complementarity_residual_n = 0.0;
+  std::int64_t track_ns = 0, assemble_ns = 0, solve_ns = 0, backward_ns = 0, model_ns = 0;
+};
+
+}  // namespace sutured::simulation
