@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The simulation: a value that steps. It knows no clock, no thread, no network.
+#pragma once
+
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "geometry/tet_mesh.hpp"
+#include "scene/scene.hpp"
+#include "simulation/types.hpp"
+
+namespace sutured::simulation {
+
+/// A tissue as viewers see it; indices of `surface` count from the body's first vertex.
+struct Body {
+  std::string name;
+  std::int32_t first_vertex = 0;
+  std::int32_t vertex_count = 0;
+  std::vector<geometry::Triangle> surface;      ///< boundary, wound outward, body-local indices
+  std::vector<std::int32_t> surface_vertices;   ///< body-local, sorted: the ones `surface` uses
+};
+
+/// Tissue, needles and tools of one scene, stepped through quasi-static equilibria.
+///
+/// Thread: one at a time. Allocates: in the constructor, and in steps that touch new vertices.
+class Simulation {
+ public:
+  /// Assembles and factors the tissue. Throws scene::SceneError if K is not positive definite.
+  explicit Simulation(const scene::Scene& scene);
+  ~Simulation();
+  Simulation(Simulation&&) noexcept;
+  Simulation& operator=(Simulation&&) noexcept;
+
+  /// Moves to the next equilibrium: the tools go to `tools` (one per scene tool, in order)
+  /// within `dt_s`, in as many substeps as their motion asks for.
+  void step(std::span<const ToolInput> tools, double dt_s);
+
+  /// Brings the displacements of all vertices up to the last step: one backward pass.
+  /// Forces, responses and needles do not need it.
+  void update_displacements();
+
+  /// Returns to the state after construction.
+  void reset();
+
+  [[nodiscard]] double time_s() const;
+  [[nodiscard]] std::span<const ToolResponse> responses() const;  ///< one per tool
+  [[nodiscard]] std::span<const NeedleState> needles() const;
+  [[nodiscard]] std::span<const Event> events() const;  ///< of the last step
+  [[nodiscard]] const StepReport& report() const;
+  [[nodiscard]] std::span<const Body> bodies() const;
+  /// Present positions of all vertices, bodies one after the other (m, world).
+  [[nodiscard]] std::span<const geometry::Vec3> positions_m() const;
+  [[nodiscard]] std::span<const geometry::Vec3> rest_positions_m() const;
+  [[nodiscard]] std::span<const geometry::Tet> tets() const;  ///< global vertex indices
+  /// Von Mises stress per vertex (Pa), volume-averaged from the tets, of the last displacements.
+  void vertex_stress_pa(std::span<double> stress) const;
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace sutured::simulation
