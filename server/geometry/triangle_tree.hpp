@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// A bounding-box tree over the triangles of a deforming surface.
+//
+// The shape of the tree is fixed when it is built; `refit` moves its boxes along with the
+// vertices in one pass from the leaves up. Tissue deforms moderately, so the boxes stay tight.
+#pragma once
+
+#include <Eigen/Geometry>
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "geometry/closest_point.hpp"
+#include "geometry/tet_mesh.hpp"
+
+namespace sutured::geometry {
+
+using Box = Eigen::AlignedBox3d;
+
+/// A point of a surface: where `TriangleTree::nearest` found it.
+struct SurfacePoint {
+  std::int32_t triangle = -1;  ///< index into the tree's triangles
+  ClosestPoint closest;
+};
+
+/// Finds the triangles near something. Queries: any number of threads while nobody refits.
+class TriangleTree {
+ public:
+  TriangleTree() = default;
+
+  /// Builds the tree over `triangles` (copied) at `vertices_m`, O(n log n). Neither may be empty
+  /// of what the other refers to. Throws std::invalid_argument for an index out of range.
+  TriangleTree(std::span<const Triangle> triangles, std::span<const Vec3> vertices_m);
+
+  /// Fits every box to the vertices where they are now. `vertices_m` is indexed as at
+  /// construction. Allocates: never.
+  void refit(std::span<const Vec3> vertices_m) noexcept;
+
+  /// Calls `visit(triangle)` for each triangle whose box meets `box` (touching counts), each once.
+  /// Allocates: never.
+  template <typename Visit>
+  void for_each_overlap(const Box& box, Visit&& visit) const;
+
+  /// Returns the surface's point nearest to `p` if one lies within `radius_m`; the lower triangle
+  /// index wins a tie. `vertices_m` are those of the last refit. Allocates: never.
+  [[nodiscard]] std::optional<SurfacePoint> nearest(
+      const Vec3& p, double radius_m, std::span<const Vec3> vertices_m) const noexcept;
+
+  [[nodiscard]] std::span<const Triangle> triangles() const noexcept { return triangles_; }
+  /// Returns the box of the whole surface; empty for a tree without triangles.
+  [[nodiscard]] Box bounds() const noexcept { return nodes_.empty() ? Box() : nodes_[0].box; }
+
+ private:
+  // Children stand behind their parent, the left one right behind it.
+  struct Node {
+    Box box;
+    std::int32_t right = 0;  // index of the right child; 0 for a leaf
+    std::int32_t first = 0;  // of a leaf: its range of `order_`
+    std::int32_t count = 0;
+  };
+  // Halving keeps the depth below 32 for any number of triangles an int32 can count, and a
+  // depth-first walk keeps at most one pending node a level.
+  static constexpr std::size_t kStackSize = 64;
+  static constexpr std::int32_t kLeafSize = 4;
+
+  std::int32_t build(std::int32_t first, std::int32_t last, std::span<const Vec3> centroids_m);
+
+  std::vector<Triangle> triangles_;
+  std::vector<std::int32_t> order_;  // triangle indices, leaf by leaf
+  std::vector<Box> boxes_;           // of each triangle
+  std::vector<Node> nodes_;
+};
+
+template <typename Visit>
+void TriangleTree::for_each_overlap(const Box& box, Visit&& visit) const {
+  if (nodes_.empty()) return;
+  std::array<std::int32_t, kStackSize> stack;
+  std::size_t depth = 0;
+  stack[depth++] = 0;
+  while (depth > 0) {
+    const std::int32_t index = stack[--depth];
+    const Node& node = nodes_[static_cast<std::size_t>(index)];
+    if (!node.box.intersects(box)) continue;
+    if (node.right != 0) {
+      stack[depth++] = node.right;
+      stack[depth++] = index + 1;
+      continue;
+    }
+    for (std::int32_t i = node.first; i < node.first + node.count; ++i) {
+      const std::int32_t triangle = order_[static_cast<std::size_t>(i)];
+      if (boxes_[static_cast<std::size_t>(triangle)].intersects(box)) visit(triangle);
+    }
+  }
+}
+
+}  // namespace sutured::geometry
