@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: Apache-2.0
+// The one factory of DDS participants: domain configuration, session, security.
+#pragma once
+
+#include <dds/dds.h>
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "protocol/topics.hpp"
+#include "suture/error.hpp"
+
+namespace suture {
+
+/// Says which session to take part in, and how.
+struct ParticipantOptions {
+  std::uint32_t domain = 0;  ///< even, ≤ 228; meshes use domain + 1
+  std::string session;       ///< DDS partition; empty is the default session
+  /// Properties of the participant's QoS, such as those of DDS Security
+  /// (`dds.sec.auth.identity_ca`, …): security is configuration, not code.
+  std::vector<std::pair<std::string, std::string>> properties;
+};
+
+/// Says whether the present process may run SCHED_FIFO threads of `priority`: it
+/// starts one and sees. Cyclone aborts the process where it may not, hence the probe.
+[[nodiscard]] bool may_run_realtime(int priority) noexcept;
+
+/// Priority of Cyclone's receive thread where real time is permitted; a pose is
+/// answered on it.
+inline constexpr int kReceivePriority = 70;
+
+/// Takes part in one domain of a session, and leaves it when destroyed. Readers and
+/// writers are made from it and must be destroyed before it.
+///
+/// The first participant of a domain in this process configures it; after our own
+/// settings those of the environment's `CYCLONEDDS_URI` apply (an interface, peers),
+/// and last what safety needs (no shared memory: after a kill of one side the other
+/// hung for minutes).
+/// Threads: any, also at once.
+class Participant {
+ public:
+  /// Throws Error kBadInput (domain odd or too large), kNetwork, kPermissionDenied.
+  Participant(const ParticipantOptions& options, Channel channel);
+  ~Participant();
+  Participant(Participant&&) noexcept;
+  Participant& operator=(Participant&&) noexcept;
+
+  [[nodiscard]] dds_entity_t handle() const noexcept;
+  [[nodiscard]] dds_entity_t publisher() const noexcept;   ///< in the session's partition
+  [[nodiscard]] dds_entity_t subscriber() const noexcept;  ///< in the session's partition
+  [[nodiscard]] Channel channel() const noexcept;
+  [[nodiscard]] const ParticipantOptions& options() const noexcept;
+  /// Says whether the receive thread of this domain runs in real time.
+  [[nodiscard]] bool receives_in_realtime() const noexcept;
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+/// Turns a negative return code of Cyclone into an Error that names `what` failed.
+[[noreturn]] void throw_dds_error(dds_return_t code, const std::string& what);
+
+}  // namespace suture

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Counts heap allocations, so that a test can claim "this allocates nothing".
+//
+// Link `sutured_heap_guard` into the test: it puts counting versions of malloc and
+// its relatives before those of the C library, so that operator new and the C code of
+// libraries (Cyclone DDS, CHOLMOD) count too. Sanitizers bring their own malloc: the
+// counters then stay at zero and `HeapGuard::active()` says so; skip the claim there.
+//
+//     HeapGuard guard;
+//     hot_call();
+//     EXPECT_EQ(guard.allocations(), 0U);
+#pragma once
+
+#include <cstdint>
+
+namespace sutured::testing {
+
+/// Counts allocations (malloc, calloc, realloc, aligned ones) since its construction.
+/// Costs a thread-local and an atomic increment an allocation.
+class HeapGuard {
+ public:
+  HeapGuard() noexcept;
+
+  /// Returns how often the present thread allocated. Call on the constructing thread.
+  [[nodiscard]] std::uint64_t allocations() const noexcept;
+  /// Returns how often any thread of the process allocated.
+  [[nodiscard]] std::uint64_t allocations_of_process() const noexcept;
+  /// Returns how often the present thread freed memory.
+  [[nodiscard]] std::uint64_t frees() const noexcept;
+
+  /// False in builds with a sanitizer, where nothing is counted.
+  [[nodiscard]] static bool active() noexcept;
+
+  /// Aborts the process at the next allocation of this thread, for a stack in a
+  /// debugger; `false` ends that.
+  static void abort_on_allocation(bool on) noexcept;
+
+ private:
+  std::uint64_t thread_start_;
+  std::uint64_t process_start_;
+  std::uint64_t frees_start_;
+};
+
+}  // namespace sutured::testing
