@@ -21,6 +21,7 @@ constexpr TopicSpec kTopics[] = {
   {"suture/tool/pose",      Channel::kControl, &suture_v1_ToolPose_desc,      false, false,    1, 5 * kMs, 100 * kMs},
   {"suture/tool/force",     Channel::kControl, &suture_v1_ToolForce_desc,     false, false,    1, 5 * kMs, 100 * kMs},
   {"suture/tool/model",     Channel::kControl, &suture_v1_HapticModel_desc,   true,  false,    1, 0,       100 * kMs},
+  {"suture/tool/rendered",  Channel::kControl, &suture_v1_ToolRendered_desc,  false, false,    1, 0,       100 * kMs},
   {"suture/tool/device",    Channel::kControl, &suture_v1_DeviceProfile_desc, true,  true,     1, 0,       0},
   {"suture/event",          Channel::kControl, &suture_v1_Event_desc,         true,  true,  1000, 0,       0},
   {"suture/status",         Channel::kControl, &suture_v1_ServerStatus_desc,  true,  true,     1, 0,       0},
@@ -57,52 +58,56 @@ const TopicSpec& topic<v1::HapticModel>() noexcept {
   return kTopics[2];
 }
 template <>
-const TopicSpec& topic<v1::DeviceProfile>() noexcept {
+const TopicSpec& topic<v1::ToolRendered>() noexcept {
   return kTopics[3];
 }
 template <>
-const TopicSpec& topic<v1::Event>() noexcept {
+const TopicSpec& topic<v1::DeviceProfile>() noexcept {
   return kTopics[4];
 }
 template <>
-const TopicSpec& topic<v1::ServerStatus>() noexcept {
+const TopicSpec& topic<v1::Event>() noexcept {
   return kTopics[5];
 }
 template <>
-const TopicSpec& topic<v1::Command>() noexcept {
+const TopicSpec& topic<v1::ServerStatus>() noexcept {
   return kTopics[6];
 }
 template <>
-const TopicSpec& topic<v1::CommandReply>() noexcept {
+const TopicSpec& topic<v1::Command>() noexcept {
   return kTopics[7];
 }
 template <>
-const TopicSpec& topic<v1::MeshTopology>() noexcept {
+const TopicSpec& topic<v1::CommandReply>() noexcept {
   return kTopics[8];
 }
 template <>
-const TopicSpec& topic<v1::MeshFrame>() noexcept {
+const TopicSpec& topic<v1::MeshTopology>() noexcept {
   return kTopics[9];
 }
 template <>
-const TopicSpec& topic<v1::ToolView>() noexcept {
+const TopicSpec& topic<v1::MeshFrame>() noexcept {
   return kTopics[10];
 }
 template <>
-const TopicSpec& topic<v1::NeedleState>() noexcept {
+const TopicSpec& topic<v1::ToolView>() noexcept {
   return kTopics[11];
 }
 template <>
-const TopicSpec& topic<v1::ThreadState>() noexcept {
+const TopicSpec& topic<v1::NeedleState>() noexcept {
   return kTopics[12];
 }
 template <>
-const TopicSpec& topic<v1::ContactState>() noexcept {
+const TopicSpec& topic<v1::ThreadState>() noexcept {
   return kTopics[13];
 }
 template <>
-const TopicSpec& topic<v1::Quality>() noexcept {
+const TopicSpec& topic<v1::ContactState>() noexcept {
   return kTopics[14];
+}
+template <>
+const TopicSpec& topic<v1::Quality>() noexcept {
+  return kTopics[15];
 }
 
 std::span<const TopicSpec> all_topics() noexcept { return kTopics; }

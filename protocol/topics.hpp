@@ -39,6 +39,8 @@ const TopicSpec& topic<v1::ToolForce>() noexcept;
 template <>
 const TopicSpec& topic<v1::HapticModel>() noexcept;
 template <>
+const TopicSpec& topic<v1::ToolRendered>() noexcept;
+template <>
 const TopicSpec& topic<v1::DeviceProfile>() noexcept;
 template <>
 const TopicSpec& topic<v1::Event>() noexcept;
@@ -70,8 +72,8 @@ const TopicSpec& topic<v1::Quality>() noexcept;
 template <class T>
 inline constexpr bool kFixedSize =
     std::is_same_v<T, v1::ToolPose> || std::is_same_v<T, v1::ToolForce> ||
-    std::is_same_v<T, v1::DeviceProfile> || std::is_same_v<T, v1::Event> ||
-    std::is_same_v<T, v1::Command> || std::is_same_v<T, v1::CommandReply> ||
-    std::is_same_v<T, v1::ToolView>;
+    std::is_same_v<T, v1::ToolRendered> || std::is_same_v<T, v1::DeviceProfile> ||
+    std::is_same_v<T, v1::Event> || std::is_same_v<T, v1::Command> ||
+    std::is_same_v<T, v1::CommandReply> || std::is_same_v<T, v1::ToolView>;
 
 }  // namespace suture

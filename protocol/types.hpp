@@ -14,11 +14,10 @@
 
 namespace suture::v1 {
 
-using Frame = suture_v1_Frame;
-using RenderMode = suture_v1_RenderMode;
 using ToolPose = suture_v1_ToolPose;
 using ToolState = suture_v1_ToolState;
 using ToolForce = suture_v1_ToolForce;
+using ToolRendered = suture_v1_ToolRendered;
 using Mapping = suture_v1_Mapping;
 using ToolCoupling = suture_v1_ToolCoupling;
 using HapticModel = suture_v1_HapticModel;
@@ -81,6 +80,16 @@ bool set_text(char (&wire)[N], std::string_view text) noexcept {
 template <std::size_t N>
 std::string_view text_of(const char (&wire)[N]) noexcept {
   return {wire, strnlen(wire, N)};
+}
+
+/// Returns the key of poses and forces: the 64-bit FNV-1a hash of the tool's name.
+[[nodiscard]] constexpr std::uint64_t tool_id(std::string_view name) noexcept {
+  std::uint64_t hash = 0xcbf29ce484222325U;
+  for (const char c : name) {
+    hash ^= static_cast<unsigned char>(c);
+    hash *= 0x100000001b3U;
+  }
+  return hash;
 }
 
 /// Lends caller-owned elements to a wire sequence for one `write`; nothing is copied or freed.
