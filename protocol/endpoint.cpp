@@ -149,10 +149,10 @@ void Endpoint::close() noexcept {
   if (topic_ > 0) dds_delete(std::exchange(topic_, 0));
 }
 
-WaitSet::WaitSet(const Participant& participant) {
-  waitset_ = dds_create_waitset(participant.handle());
+WaitSet::WaitSet() {
+  waitset_ = dds_create_waitset(DDS_CYCLONEDDS_HANDLE);
   if (waitset_ < 0) throw_dds_error(waitset_, "making a wait set");
-  guard_ = dds_create_guardcondition(participant.handle());
+  guard_ = dds_create_guardcondition(DDS_CYCLONEDDS_HANDLE);
   if (guard_ < 0) {
     dds_delete(waitset_);
     throw_dds_error(guard_, "making a guard condition");

@@ -207,7 +207,8 @@ class Writer : public Endpoint {
 /// Waits on one thread for data of several readers, and for a call to leave.
 class WaitSet {
  public:
-  explicit WaitSet(const Participant& participant);
+  /// Throws Error where Cyclone refuses. May serve readers of several domains.
+  WaitSet();
   ~WaitSet();
   WaitSet(const WaitSet&) = delete;
   WaitSet& operator=(const WaitSet&) = delete;

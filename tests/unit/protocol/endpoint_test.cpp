@@ -138,7 +138,7 @@ TEST(Endpoint, CarriesAMeshOfAMegabyte) {
   const Participant participant(own_session(), Channel::kMesh);
   Writer<v1::MeshFrame> writer(participant);
   Reader<v1::MeshFrame> reader(participant);
-  WaitSet waitset(participant);
+  WaitSet waitset;
   waitset.attach(reader);
   ASSERT_TRUE(eventually([&] { return writer.matched() == 1; }));
 
@@ -225,7 +225,7 @@ TEST(Endpoint, NamesThePolicyThatKeepsAPeerAway) {
 
 TEST(WaitSet, EndsItsWaitWhenWoken) {
   const Participant participant(own_session(), Channel::kMesh);
-  WaitSet waitset(participant);
+  WaitSet waitset;
   std::thread waker([&] { waitset.wake(); });
   EXPECT_FALSE(waitset.wait(std::chrono::hours(1)));
   waker.join();

@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <bit>
+#include <cstdint>
+
+namespace suture {
+
+/// Counts durations in buckets of at most 1.6 % width, from a nanosecond to minutes, and
+/// returns percentiles of them. A plain value of 17 kB: recording allocates nothing.
+///
+/// A bucket is a power of two cut into 64: b(v) = 64 (e − 6) + (v >> (e − 6)) for
+/// v = 2^e …, the same as v itself below 64.
+class LatencyHistogram {
+ public:
+  void record(std::int64_t duration_ns) noexcept {
+    const std::uint64_t value = duration_ns > 0 ? static_cast<std::uint64_t>(duration_ns) : 0U;
+    ++counts_[bucket(value)];
+    ++total_;
+    if (value > max_) max_ = value;
+  }
+
+  [[nodiscard]] std::uint64_t count() const noexcept { return total_; }
+  [[nodiscard]] std::int64_t max_ns() const noexcept { return static_cast<std::int64_t>(max_); }
+
+  /// Returns the duration that `fraction` (0 … 1) of the recorded ones do not pass, at
+  /// most 1.6 % above the truth; 0 where nothing was recorded.
+  [[nodiscard]] std::int64_t percentile_ns(double fraction) const noexcept {
+    if (total_ == 0) return 0;
+    const double rank = fraction * static_cast<double>(total_);
+    std::uint64_t below = 0;
+    for (std::size_t i = 0; i < counts_.size(); ++i) {
+      below += counts_[i];
+      if (below > 0 && static_cast<double>(below) >= rank) {
+        const std::uint64_t bound = upper_bound(i);
+        return static_cast<std::int64_t>(bound < max_ ? bound : max_);
+      }
+    }
+    return max_ns();
+  }
+
+  void clear() noexcept { *this = {}; }
+
+ private:
+  static constexpr unsigned kBits = 6;     // 64 buckets a power of two
+  static constexpr unsigned kTopBit = 37;  // the last power of two: 137 s
+
+  static constexpr std::size_t bucket(std::uint64_t value) noexcept {
+    if (value < (1U << kBits)) return static_cast<std::size_t>(value);
+    constexpr std::uint64_t kLimit = (std::uint64_t{1} << (kTopBit + 1)) - 1;
+    if (value > kLimit) value = kLimit;
+    const unsigned shift = static_cast<unsigned>(std::bit_width(value)) - 1 - kBits;
+    return (std::size_t{shift} << kBits) + static_cast<std::size_t>(value >> shift);
+  }
+  static constexpr std::uint64_t upper_bound(std::size_t index) noexcept {
+    if (index < (2U << kBits)) return index;
+    const unsigned shift = static_cast<unsigned>(index >> kBits) - 1;
+    const std::uint64_t mantissa = index - (std::uint64_t{shift} << kBits);
+    return ((mantissa + 1) << shift) - 1;
+  }
+
+  std::array<std::uint32_t, ((kTopBit - kBits + 2) << kBits)> counts_{};
+  std::uint64_t total_ = 0;
+  std::uint64_t max_ = 0;
+};
+
+}  // namespace suture

@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "protocol/rendezvous.hpp"
+
+#include <algorithm>
+#include <set>
+
+#include "protocol/endpoint.hpp"
+
+namespace suture {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+std::string quoted(std::string_view session) {
+  return session.empty() ? "the default session" : "session \"" + std::string(session) + "\"";
+}
+
+/// What the network shows of servers that are not ours to talk to.
+struct OtherServers {
+  std::set<std::string> sessions;  // where servers of our version answer
+  std::set<std::string> types;     // status types of other versions, in our session
+};
+
+OtherServers look_around(const Participant& participant) {
+  OtherServers others;
+  const dds_entity_t reader =
+      dds_create_reader(participant.handle(), DDS_BUILTIN_TOPIC_DCPSPUBLICATION, nullptr, nullptr);
+  if (reader < 0) return others;
+  const std::string own_type = topic<v1::ServerStatus>().descriptor->m_typename;
+  constexpr std::string_view kStatusType = "::ServerStatus";
+  for (;;) {
+    void* sample = nullptr;
+    dds_sample_info_t info;
+    if (dds_take(reader, &sample, &info, 1, 1) <= 0) break;
+    const auto* endpoint = static_cast<const dds_builtintopic_endpoint_t*>(sample);
+    const std::string type =
+        info.valid_data && endpoint->type_name != nullptr ? endpoint->type_name : "";
+    if (info.instance_state == DDS_ALIVE_INSTANCE_STATE && type.starts_with("suture::") &&
+        type.ends_with(kStatusType)) {
+      std::uint32_t count = 0;
+      char** partitions = nullptr;
+      std::set<std::string> sessions;
+      if (dds_qget_partition(endpoint->qos, &count, &partitions)) {
+        for (std::uint32_t i = 0; i < count; ++i) {
+          sessions.insert(partitions[i]);
+          dds_free(partitions[i]);
+        }
+        dds_free(partitions);
+      }
+      if (sessions.empty()) sessions.insert("");
+      if (type == own_type) {
+        others.sessions.insert(sessions.begin(), sessions.end());
+      } else if (sessions.contains(participant.options().session)) {
+        others.types.insert(type);
+      }
+    }
+    dds_return_loan(reader, &sample, 1);
+  }
+  dds_delete(reader);
+  others.sessions.erase(participant.options().session);
+  return others;
+}
+
+std::optional<ServerInfo> listen(const Participant& participant, std::chrono::nanoseconds timeout) {
+  Reader<v1::ServerStatus> reader(participant);
+  WaitSet waitset;
+  waitset.attach(reader);
+  const Clock::time_point end = Clock::now() + timeout;
+  std::optional<ServerInfo> found;
+  do {
+    waitset.wait(std::max<std::chrono::nanoseconds>(end - Clock::now(), {}));
+    reader.take_each([&](const v1::ServerStatus& status, const SampleInfo& info) {
+      if (info.valid && info.writers_alive && status.state != suture_v1_SERVER_LEAVING) {
+        found = server_info(status);
+      }
+    });
+  } while (!found && Clock::now() < end);
+  return found;
+}
+
+}  // namespace
+
+const ServerTool* ServerInfo::tool(std::string_view name) const noexcept {
+  const auto found =
+      std::find_if(tools.begin(), tools.end(), [&](const ServerTool& t) { return t.name == name; });
+  return found == tools.end() ? nullptr : &*found;
+}
+
+ServerInfo server_info(const v1::ServerStatus& status) {
+  ServerInfo info;
+  info.server = guid_of(status.server);
+  info.epoch = status.epoch;
+  info.protocol_version = status.protocol_version;
+  info.version = text_of(status.server_version);
+  info.session = text_of(status.session);
+  info.host = text_of(status.host);
+  info.pid = status.pid;
+  info.scene = text_of(status.scene);
+  for (const v1::ToolStatus& tool : span_of(status.tools)) {
+    info.tools.push_back({std::string(text_of(tool.tool)), std::string(text_of(tool.kind)),
+                          tool.leased, guid_of(tool.device), tool.max_force_n,
+                          tool.stale_after_ms});
+  }
+  return info;
+}
+
+ServerInfo await_server(const Participant& participant, std::chrono::nanoseconds timeout) {
+  const ParticipantOptions& options = participant.options();
+  const std::optional<ServerInfo> found = listen(participant, timeout);
+  if (found) {
+    if (found->protocol_version == suture_v1_PROTOCOL_VERSION) return *found;
+    throw Error(ErrorCode::kVersionMismatch,
+                "the server (sutured " + found->version + " on " + found->host +
+                    ") speaks protocol version " + std::to_string(found->protocol_version) +
+                    ", this client " + std::to_string(suture_v1_PROTOCOL_VERSION),
+                found->protocol_version > suture_v1_PROTOCOL_VERSION ? "update this client"
+                                                                     : "update the server");
+  }
+  const OtherServers others = look_around(participant);
+  if (!others.types.empty()) {
+    throw Error(ErrorCode::kVersionMismatch,
+                "the server speaks another protocol version (" + *others.types.begin() +
+                    ", this client " + topic<v1::ServerStatus>().descriptor->m_typename + ")",
+                "update the older of the two");
+  }
+  std::string cause = "no server answers in domain " + std::to_string(options.domain) + ", " +
+                      quoted(options.session);
+  if (!others.sessions.empty()) {
+    cause += " (one does in ";
+    for (const std::string& session : others.sessions) {
+      if (session != *others.sessions.begin()) cause += ", ";
+      cause += quoted(session);
+    }
+    cause += ")";
+  }
+  throw Error(ErrorCode::kNoServer, cause,
+              "start `sutured serve SCENE.toml --domain " + std::to_string(options.domain) +
+                  (options.session.empty() ? "" : " --session " + options.session) +
+                  "`, or check domain, session, network interface and firewall");
+}
+
+std::optional<ServerInfo> find_other_server(const Participant& participant,
+                                            std::chrono::nanoseconds timeout) {
+  return listen(participant, timeout);
+}
+
+}  // namespace suture

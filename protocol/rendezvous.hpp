@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// How a client finds the server of its session, and what it learns where it does not.
+#pragma once
+
+#include <chrono>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "protocol/participant.hpp"
+
+namespace suture {
+
+/// One tool of a server's scene.
+struct ServerTool {
+  std::string name;
+  std::string kind;
+  bool leased = false;
+  Guid device{};  ///< writer that holds the lease
+  double max_force_n = 0.0;
+  double stale_after_ms = 0.0;
+};
+
+/// What a server says about itself in its status.
+struct ServerInfo {
+  Guid server{};
+  std::uint64_t epoch = 0;
+  std::uint32_t protocol_version = 0;
+  std::string version;
+  std::string session;
+  std::string host;
+  int pid = 0;
+  std::string scene;
+  std::vector<ServerTool> tools;
+
+  /// Returns the tool of that name, or null.
+  [[nodiscard]] const ServerTool* tool(std::string_view name) const noexcept;
+};
+
+/// Copies what identifies a server out of its status.
+[[nodiscard]] ServerInfo server_info(const v1::ServerStatus& status);
+
+/// Waits for the server of the participant's session and returns what it says.
+///
+/// Throws Error kNoServer after `timeout`, naming the other sessions in which servers do
+/// answer, and kVersionMismatch where one speaks another protocol version.
+/// `participant` is one of the control channel.
+[[nodiscard]] ServerInfo await_server(const Participant& participant,
+                                      std::chrono::nanoseconds timeout);
+
+/// Looks for another server in the participant's session, before one starts there.
+/// Returns it, or nothing after `timeout`. A server that is leaving does not count.
+[[nodiscard]] std::optional<ServerInfo> find_other_server(const Participant& participant,
+                                                          std::chrono::nanoseconds timeout);
+
+}  // namespace suture
