@@ -61,7 +61,8 @@ OtherServers look_around(const Participant& participant) {
   return others;
 }
 
-std::optional<ServerInfo> listen(const Participant& participant, std::chrono::nanoseconds timeout) {
+std::optional<ServerInfo> listen(const Participant& participant, std::chrono::nanoseconds timeout,
+                                 const std::function<bool(const ServerInfo&)>& enough) {
   Reader<v1::ServerStatus> reader(participant);
   WaitSet waitset;
   waitset.attach(reader);
@@ -74,7 +75,7 @@ std::optional<ServerInfo> listen(const Participant& participant, std::chrono::na
         found = server_info(status);
       }
     });
-  } while (!found && Clock::now() < end);
+  } while ((!found || (enough && !enough(*found))) && Clock::now() < end);
   return found;
 }
 
@@ -104,9 +105,10 @@ ServerInfo server_info(const v1::ServerStatus& status) {
   return info;
 }
 
-ServerInfo await_server(const Participant& participant, std::chrono::nanoseconds timeout) {
+ServerInfo await_server(const Participant& participant, std::chrono::nanoseconds timeout,
+                        const std::function<bool(const ServerInfo&)>& enough) {
   const ParticipantOptions& options = participant.options();
-  const std::optional<ServerInfo> found = listen(participant, timeout);
+  const std::optional<ServerInfo> found = listen(participant, timeout, enough);
   if (found) {
     if (found->protocol_version == suture_v1_PROTOCOL_VERSION) return *found;
     throw Error(ErrorCode::kVersionMismatch,
@@ -141,7 +143,7 @@ ServerInfo await_server(const Participant& participant, std::chrono::nanoseconds
 
 std::optional<ServerInfo> find_other_server(const Participant& participant,
                                             std::chrono::nanoseconds timeout) {
-  return listen(participant, timeout);
+  return listen(participant, timeout, {});
 }
 
 }  // namespace suture

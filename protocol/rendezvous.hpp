@@ -3,6 +3,7 @@
 #pragma once
 
 #include <chrono>
+#include <functional>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -41,13 +42,16 @@ struct ServerInfo {
 /// Copies what identifies a server out of its status.
 [[nodiscard]] ServerInfo server_info(const v1::ServerStatus& status);
 
-/// Waits for the server of the participant's session and returns what it says.
+/// Waits for the server of the participant's session and returns what it says; where
+/// `enough` is given, waits on until that likes it, and returns the last word at the end
+/// of `timeout`.
 ///
 /// Throws Error kNoServer after `timeout`, naming the other sessions in which servers do
 /// answer, and kVersionMismatch where one speaks another protocol version.
 /// `participant` is one of the control channel.
 [[nodiscard]] ServerInfo await_server(const Participant& participant,
-                                      std::chrono::nanoseconds timeout);
+                                      std::chrono::nanoseconds timeout,
+                                      const std::function<bool(const ServerInfo&)>& enough = {});
 
 /// Looks for another server in the participant's session, before one starts there.
 /// Returns it, or nothing after `timeout`. A server that is leaving does not count.

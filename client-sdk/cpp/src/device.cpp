@@ -1,0 +1,393 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "suture/device.hpp"
+
+#include <poll.h>
+#include <pthread.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <ctime>
+#include <mutex>
+
+#include "convert.hpp"
+#include "force_guard.hpp"
+#include "protocol/endpoint.hpp"
+#include "protocol/latency_histogram.hpp"
+#include "protocol/rendezvous.hpp"
+#include "protocol/snapshot.hpp"
+
+namespace suture {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+constexpr int kTickPriority = 60;  // below the receive thread, which feeds it
+constexpr std::int64_t kSecondNs = 1'000'000'000;
+
+/// A force and when it arrived; 0: none did.
+struct Arrival {
+  Force force;
+  std::int64_t at_ns = 0;  // monotonic
+};
+
+/// Makes the present thread SCHED_FIFO where that is permitted, and undoes it.
+class RealtimeScope {
+ public:
+  explicit RealtimeScope(int priority) noexcept {
+    if (pthread_getschedparam(pthread_self(), &policy_, &parameters_) != 0) return;
+    sched_param wanted{};
+    wanted.sched_priority = priority;
+    changed_ = pthread_setschedparam(pthread_self(), SCHED_FIFO, &wanted) == 0;
+  }
+  ~RealtimeScope() {
+    if (changed_) pthread_setschedparam(pthread_self(), policy_, &parameters_);
+  }
+  RealtimeScope(const RealtimeScope&) = delete;
+  RealtimeScope& operator=(const RealtimeScope&) = delete;
+
+ private:
+  int policy_ = 0;
+  sched_param parameters_{};
+  bool changed_ = false;
+};
+
+/// Wakes whoever waits for a force; costs a waker nothing while nobody waits.
+class Doorbell {
+ public:
+  Doorbell() : fd_(eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
+    if (fd_ < 0) {
+      throw Error(ErrorCode::kNetwork, "no file descriptor left", "raise `ulimit -n`");
+    }
+  }
+  ~Doorbell() { ::close(fd_); }
+  Doorbell(const Doorbell&) = delete;
+  Doorbell& operator=(const Doorbell&) = delete;
+
+  void ring() noexcept {
+    if (!awaited_.load(std::memory_order_seq_cst)) return;
+    const std::uint64_t one = 1;
+    [[maybe_unused]] const ssize_t written = ::write(fd_, &one, sizeof one);
+  }
+  /// Waits until `ready()` holds or `end` has come; says which.
+  template <class Ready>
+  bool wait(Ready&& ready, Clock::time_point end) noexcept {
+    awaited_.store(true, std::memory_order_seq_cst);
+    bool done = ready();
+    while (!done) {
+      const auto left = std::chrono::duration_cast<std::chrono::nanoseconds>(end - Clock::now());
+      if (left.count() <= 0) break;
+      pollfd waiting{fd_, POLLIN, 0};
+      const timespec timeout{static_cast<time_t>(left.count() / kSecondNs),
+                             static_cast<long>(left.count() % kSecondNs)};
+      if (ppoll(&waiting, 1, &timeout, nullptr) > 0) {
+        std::uint64_t count = 0;
+        [[maybe_unused]] const ssize_t got = ::read(fd_, &count, sizeof count);
+      }
+      done = ready();
+    }
+    awaited_.store(false, std::memory_order_relaxed);
+    return done;
+  }
+
+ private:
+  int fd_;
+  std::atomic<bool> awaited_{false};
+};
+
+Force to_force(const v1::ToolForce& wire, std::int64_t wall_ns) noexcept {
+  Force force;
+  force.force_n = array_of(wire.force_n);
+  force.torque_nm = array_of(wire.torque_nm);
+  force.state = force_state(wire.state);
+  force.faults = wire.faults;
+  force.touching = (wire.flags & suture_v1_FORCE_TOUCHING) != 0;
+  force.holding = (wire.flags & suture_v1_FORCE_HOLDING) != 0;
+  force.engaged = (wire.flags & suture_v1_FORCE_ENGAGED) != 0;
+  force.sequence = wire.sequence_number;
+  force.hand_sequence = wire.pose_sequence;
+  force.hand_stamp_ns = wire.pose_stamp_ns;
+  force.round_trip_ns = wall_ns - wire.pose_stamp_ns;
+  force.model_age_us = wire.model_age_us;
+  return force;
+}
+
+double norm(const Vector3& v) noexcept {
+  return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+}
+
+}  // namespace
+
+struct Device::State {
+  explicit State(DeviceOptions chosen)
+      : options(std::move(chosen)),
+        id(tool_id(options.tool)),
+        participant({options.domain, options.session, options.properties}, Channel::kControl),
+        guard(std::chrono::nanoseconds(options.silent_after).count()) {}
+
+  void connect();
+  void receive() noexcept;                    // receive thread
+  void account(const Force& force) noexcept;  // receive thread
+  [[nodiscard]] std::string incompatible_policy() {
+    const std::lock_guard lock(policy_mutex);
+    return policy;
+  }
+
+  DeviceOptions options;
+  std::uint64_t id;
+  Participant participant;
+  ServerInfo server;
+  double max_force_n = 0.0;
+
+  // The receive thread's.
+  std::atomic<bool> ready{false};  // writer and reader stand
+  std::uint64_t last_hand_sequence = 0;
+  std::uint64_t last_force_sequence = 0;
+  std::atomic<std::uint64_t> received{0}, last_answered{0}, repeated{0}, out_of_order{0};
+  std::atomic<double> peak_force_n{0.0};
+  LatencyHistogram round_trips;
+
+  // From it to the caller's thread.
+  Snapshot<Arrival> arrivals;
+  std::atomic<std::uint64_t> epoch{0};
+  std::atomic<std::int64_t> foreign_ns{0};  // last force for another device of this tool
+  Doorbell doorbell;
+
+  // The caller's.
+  ForceGuard guard;
+  v1::ToolPose pose{};
+  std::atomic<bool> stopping{false};
+
+  std::mutex policy_mutex;
+  std::string policy;
+
+  // Last: destroyed first, so that no callback outlives what it uses.
+  Writer<v1::ToolPose> writer;
+  Reader<v1::ToolForce> reader;
+};
+
+void Device::State::connect() {
+  const Clock::time_point end = Clock::now() + options.timeout;
+  const auto left = [&] {
+    return std::max<std::chrono::nanoseconds>(end - Clock::now(), std::chrono::milliseconds(1));
+  };
+  // A device that has just left may still stand in the last status: wait for the next.
+  server = await_server(participant, left(), [&](const ServerInfo& info) {
+    const ServerTool* tool = info.tool(options.tool);
+    return tool == nullptr || !tool->leased;
+  });
+  const ServerTool* tool = server.tool(options.tool);
+  if (tool == nullptr) {
+    std::string known;
+    for (const ServerTool& other : server.tools) known += (known.empty() ? "" : ", ") + other.name;
+    throw Error(ErrorCode::kUnknownTool,
+                "the scene \"" + server.scene + "\" has no tool \"" + options.tool + "\"",
+                known.empty() ? "add it to the scene file" : "it has " + known);
+  }
+  if (tool->leased) {
+    throw Error(ErrorCode::kToolInUse,
+                "the tool \"" + options.tool + "\" is held by another device",
+                "end that device first, or take another tool");
+  }
+  max_force_n = tool->max_force_n;
+  epoch = server.epoch;
+
+  const auto note_policy = [this](const std::string& name) {
+    const std::lock_guard lock(policy_mutex);
+    policy = name;
+  };
+  EndpointCallbacks from_writer;
+  from_writer.matched = [this](int) { doorbell.ring(); };
+  from_writer.incompatible_qos = note_policy;
+  writer = Writer<v1::ToolPose>(participant, std::move(from_writer));
+  EndpointCallbacks from_reader;
+  from_reader.data_available = [this] { receive(); };
+  from_reader.matched = [this](int) { doorbell.ring(); };
+  from_reader.incompatible_qos = note_policy;
+  reader = Reader<v1::ToolForce>(participant, std::move(from_reader));
+  ready.store(true, std::memory_order_release);
+
+  if (!doorbell.wait([&] { return writer.matched() > 0 && reader.matched() > 0; }, end)) {
+    const std::string wrong = incompatible_policy();
+    if (!wrong.empty()) {
+      throw Error(ErrorCode::kIncompatibleQos,
+                  "the server and this client disagree on the QoS policy \"" + wrong + "\"",
+                  "use versions of sutured and this SDK that belong together");
+    }
+    throw Error(ErrorCode::kNoServer,
+                "the server's status was heard, but it does not take part in poses and forces",
+                "see the server's log; with DDS Security, check this device's permissions");
+  }
+}
+
+void Device::State::receive() noexcept {
+  // The reader's construction may deliver forces for other devices before it is assigned.
+  if (!ready.load(std::memory_order_acquire)) return;
+  v1::ToolForce wire;
+  SampleInfo info;
+  while (reader.take(wire, info)) {
+    if (!info.valid || wire.tool_id != id) continue;
+    const Guid device = guid_of(wire.device);
+    if (device != writer.guid()) {
+      if (device != kNobody) foreign_ns.store(monotonic_ns(), std::memory_order_relaxed);
+      continue;
+    }
+    const Force force = to_force(wire, wall_clock_ns());
+    epoch.store(wire.epoch, std::memory_order_relaxed);
+    account(force);
+    arrivals.publish({force, monotonic_ns()});
+    doorbell.ring();
+    if (options.on_force) options.on_force(force);
+  }
+}
+
+void Device::State::account(const Force& force) noexcept {
+  const auto add = [](std::atomic<std::uint64_t>& counter) {
+    counter.store(counter.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
+  };
+  if (force.sequence < last_force_sequence) {
+    add(out_of_order);
+  } else if (force.hand_sequence > last_hand_sequence) {
+    last_hand_sequence = force.hand_sequence;
+    last_answered.store(last_hand_sequence, std::memory_order_relaxed);
+    add(received);
+    round_trips.record(force.round_trip_ns);
+  } else {
+    add(repeated);
+  }
+  last_force_sequence = std::max(last_force_sequence, force.sequence);
+  const double magnitude = norm(force.force_n);
+  if (magnitude > peak_force_n.load(std::memory_order_relaxed)) {
+    peak_force_n.store(magnitude, std::memory_order_relaxed);
+  }
+}
+
+Device::Device(DeviceOptions options) : state_(std::make_unique<State>(std::move(options))) {
+  state_->connect();
+  state_->pose.tool_id = state_->id;
+  state_->pose.orientation_xyzw[3] = 1.0;
+}
+
+Device::~Device() {
+  if (!state_ || state_->pose.sequence_number == 0) return;
+  v1::ToolPose& pose = state_->pose;
+  ++pose.sequence_number;
+  pose.stamp_ns = wall_clock_ns();
+  pose.flags |= suture_v1_POSE_GOODBYE;
+  state_->writer.write(pose);
+  state_->writer.leave(pose);
+}
+
+Device::Device(Device&&) noexcept = default;
+Device& Device::operator=(Device&&) noexcept = default;
+
+void Device::run(const Tick& tick, double rate_hz) {
+  if (!(rate_hz > 0.0 && rate_hz <= 4000.0)) {
+    throw Error(ErrorCode::kBadInput, "a device cannot run at this rate", "take 1 to 4000 Hz");
+  }
+  State& state = *state_;
+  const RealtimeScope realtime(kTickPriority);
+  const auto period_ns = static_cast<std::int64_t>(std::llround(1e9 / rate_hz));
+  const std::int64_t give_up_ns = std::chrono::nanoseconds(state.options.give_up_after).count();
+  const std::int64_t begun_ns = monotonic_ns();
+  std::int64_t next_ns = begun_ns;
+  std::int64_t last_ns = begun_ns;
+  state.stopping = false;
+  while (!state.stopping) {
+    const timespec wake{static_cast<time_t>(next_ns / kSecondNs),
+                        static_cast<long>(next_ns % kSecondNs)};
+    while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &wake, nullptr) != 0 &&
+           !state.stopping) {
+    }
+    const std::int64_t now_ns = monotonic_ns();
+    const std::optional<Hand> hand = tick(read(), std::chrono::nanoseconds(now_ns - last_ns));
+    last_ns = now_ns;
+    if (!hand) return;
+    write(*hand);
+
+    const std::int64_t heard_ns = std::max(state.arrivals.latest().at_ns, begun_ns);
+    if (tool_in_use()) {
+      throw Error(ErrorCode::kToolInUse,
+                  "another device holds the tool \"" + state.options.tool + "\" by now",
+                  "end that device first, or take another tool");
+    }
+    if (give_up_ns > 0 && now_ns - heard_ns > give_up_ns) {
+      throw Error(ErrorCode::kNoServer,
+                  "the server has not answered for " +
+                      std::to_string(state.options.give_up_after.count()) + " ms",
+                  "see whether it still runs (`suture top`)");
+    }
+    next_ns += period_ns;
+    const std::int64_t behind_ns = monotonic_ns() - next_ns;
+    if (behind_ns > 0) next_ns += (behind_ns / period_ns + 1) * period_ns;
+  }
+}
+
+void Device::stop() noexcept { state_->stopping = true; }
+
+std::uint64_t Device::write(const Hand& hand) noexcept {
+  State& state = *state_;
+  v1::ToolPose& pose = state.pose;
+  ++pose.sequence_number;
+  pose.epoch = state.epoch.load(std::memory_order_relaxed);
+  std::copy(hand.position_m.begin(), hand.position_m.end(), pose.position_m);
+  std::copy(hand.orientation_xyzw.begin(), hand.orientation_xyzw.end(), pose.orientation_xyzw);
+  for (std::size_t i = 0; i < 3; ++i) {
+    pose.linear_velocity_m_per_s[i] = static_cast<float>(hand.linear_velocity_m_per_s[i]);
+    pose.angular_velocity_rad_per_s[i] = static_cast<float>(hand.angular_velocity_rad_per_s[i]);
+  }
+  pose.jaw = static_cast<float>(hand.jaw);
+  pose.buttons = hand.buttons;
+  pose.flags = (hand.in_world ? std::uint32_t{suture_v1_POSE_IN_WORLD} : 0U) |
+               (hand.stop ? std::uint32_t{suture_v1_POSE_STOP} : 0U);
+  pose.stamp_ns = wall_clock_ns();
+  state.writer.write(pose);
+  return pose.sequence_number;
+}
+
+Force Device::read() noexcept {
+  const Arrival& last = state_->arrivals.latest();
+  return state_->guard.show(last.force, last.at_ns, monotonic_ns());
+}
+
+std::optional<Force> Device::read_after(std::uint64_t sequence,
+                                        std::chrono::nanoseconds timeout) noexcept {
+  State& state = *state_;
+  const bool there = state.doorbell.wait(
+      [&] {
+        const Arrival& last = state.arrivals.latest();
+        return last.at_ns != 0 && last.force.hand_sequence >= sequence;
+      },
+      Clock::now() + timeout);
+  if (!there) return std::nullopt;
+  return read();
+}
+
+bool Device::tool_in_use() const noexcept {
+  constexpr std::int64_t kRecentNs = 200'000'000;
+  const std::int64_t now_ns = monotonic_ns();
+  const std::int64_t foreign_ns = state_->foreign_ns.load(std::memory_order_relaxed);
+  return foreign_ns != 0 && now_ns - foreign_ns < kRecentNs &&
+         now_ns - state_->arrivals.latest().at_ns > kRecentNs;
+}
+
+double Device::max_force_n() const noexcept { return state_->max_force_n; }
+const std::string& Device::scene() const noexcept { return state_->server.scene; }
+
+DeviceStatistics Device::statistics() const {
+  const State& state = *state_;
+  DeviceStatistics result;
+  result.hands_written = state.pose.sequence_number;
+  result.forces_received = state.received;
+  result.hands_unanswered = state.last_answered - result.forces_received;
+  result.repeated = state.repeated;
+  result.out_of_order = state.out_of_order;
+  result.peak_force_n = state.peak_force_n;
+  result.round_trip_p50_ns = state.round_trips.percentile_ns(0.5);
+  result.round_trip_p99_ns = state.round_trips.percentile_ns(0.99);
+  result.round_trip_max_ns = state.round_trips.max_ns();
+  return result;
+}
+
+}  // namespace suture

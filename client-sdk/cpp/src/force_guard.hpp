@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+#include "suture/types.hpp"
+
+namespace suture {
+
+/// Keeps the force at the hand safe from what may happen on the way: silence and nonsense.
+///
+///     shown = gain × last force,   gain: 1 while forces arrive,
+///                                  1 → 0 within 30 ms from `silent_after_ns` on,
+///                                  0 → 1 within 50 ms once they arrive again
+///
+/// The server sees to limits, slew and its own faults; this sees to a server, a network or
+/// a process that is gone. Nothing here reads a clock. Thread: one. Allocates: nothing.
+class ForceGuard {
+ public:
+  static constexpr std::int64_t kFadeNs = 30'000'000;
+  static constexpr std::int64_t kRiseNs = 50'000'000;
+
+  explicit ForceGuard(std::int64_t silent_after_ns) noexcept : silent_after_ns_(silent_after_ns) {}
+
+  /// Returns what to show at `now_ns`, when `last` arrived at `arrival_ns` (0: never).
+  [[nodiscard]] Force show(const Force& last, std::int64_t arrival_ns,
+                           std::int64_t now_ns) noexcept;
+
+ private:
+  std::int64_t silent_after_ns_;
+  std::int64_t shown_at_ns_ = 0;
+  double gain_ = 1.0;
+};
+
+}  // namespace suture
