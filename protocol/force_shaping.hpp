@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: Apache-2.0
+// From a model's wrench to one that may be sent to a hand. Both ends use it: the server
+// for ToolForce, the SDK where it renders on the device's own machine.
+//
+//     wrench of the model ─▶ blend at a swap ─▶ × gain ─▶ limits: magnitude, then slew ─▶ hand
+//
+// The limits stand last, always, so that nothing before them has to be right for a hand
+// to be safe. Nothing here reads a clock.
+#pragma once
+
+#include <cstdint>
+
+#include "protocol/haptic_model.hpp"
+
+namespace suture {
+
+/// The most a device may show, in magnitude and in change. All positive.
+struct ForceLimits {
+  double max_force_n = 3.3;
+  double max_torque_nm = 0.1;
+  double max_force_slew_n_per_s = 500.0;
+  double max_torque_slew_nm_per_s = 15.0;
+};
+
+/// Returns `limits` with the magnitudes lowered, where the slew asks for it, to what the
+/// slew can take to zero in a ramp of `ramp_ns`: a force that cannot end in time must not
+/// begin. The ramp's steepest slope is 1.5 times its mean.
+[[nodiscard]] ForceLimits stoppable_within(const ForceLimits& limits,
+                                           std::int64_t ramp_ns) noexcept;
+
+/// Returns `wrench` shortened, without turning, to the magnitudes of `limits`. A part that
+/// is not finite becomes zero. Sets `limited` where it changed anything; else leaves it.
+[[nodiscard]] Wrench limit_magnitude(const Wrench& wrench, const ForceLimits& limits,
+                                     bool& limited) noexcept;
+
+/// Returns the wrench nearest `wanted` on the straight way from `last` that the slew
+/// limits allow after `elapsed_ns`. Between two wrenches within the magnitudes it stays
+/// within them.
+[[nodiscard]] Wrench limit_slew(const Wrench& wanted, const Wrench& last, std::int64_t elapsed_ns,
+                                const ForceLimits& limits, bool& limited) noexcept;
+
+/// Takes the step out of a change of model: at the swap the difference between the two
+/// models at the same pose is kept, and fades within a few milliseconds.
+///
+///     w(t) = w_new(ξ) + β(t) (w_shown − w_new)(ξ_swap),   β: 1 → 0
+///
+/// The hand's own motion goes through w_new at once: no filter, no lag.
+class SwapBlend {
+ public:
+  /// Starts a blend from `shown` (this blend's last result, renewed for the present pose)
+  /// to `next` at the same pose.
+  void swap(const Wrench& shown, const Wrench& next, std::int64_t now_ns,
+            std::int64_t duration_ns) noexcept;
+  [[nodiscard]] Wrench apply(const Wrench& wrench, std::int64_t now_ns) const noexcept;
+  void clear() noexcept { *this = {}; }
+
+ private:
+  Wrench offset_;
+  std::int64_t start_ns_ = 0, duration_ns_ = 0;
+};
+
+/// Returns how much of the gain a source of age `age_ns` still allows: 1 until it is
+/// `hold_ns` old, 0 from `zero_ns` on, linear between.
+[[nodiscard]] double freshness(std::int64_t age_ns, std::int64_t hold_ns,
+                               std::int64_t zero_ns) noexcept;
+
+/// A gain that falls with its ceiling and rises by a ramp of its own.
+///
+/// `phase` runs linearly in [0, 1]; the gain is its smoothstep, so that a ramp starts and
+/// ends without a kink.
+class RampedGain {
+ public:
+  explicit RampedGain(std::int64_t rise_ns) noexcept : rise_ns_(rise_ns) {}
+
+  /// Moves on by `elapsed_ns` under `ceiling` ∈ [0, 1] and returns the gain.
+  double update(double ceiling, std::int64_t elapsed_ns) noexcept;
+  [[nodiscard]] double phase() const noexcept { return phase_; }
+  [[nodiscard]] double gain() const noexcept { return phase_ * phase_ * (3.0 - 2.0 * phase_); }
+  void clear() noexcept { phase_ = 0.0; }
+
+ private:
+  std::int64_t rise_ns_;
+  double phase_ = 0.0;
+};
+
+}  // namespace suture

@@ -1,0 +1,316 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "protocol/haptic_model.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <type_traits>
+
+namespace suture {
+namespace {
+
+static_assert(std::is_trivially_copyable_v<HapticModel>, "a model travels through snapshots");
+
+using Array3 = std::array<double, 3>;
+
+Array3 cross(const Array3& a, const Array3& b) noexcept {
+  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
+}
+
+double dot(const Twist& a, const Twist& b) noexcept {
+  double sum = 0.0;
+  for (int i = 0; i < 6; ++i) sum += a[i] * b[i];
+  return sum;
+}
+
+double compliance(const HapticModel& model, int i, int j) noexcept {
+  return model.compliance_m_per_n[i >= j ? packed_index(i, j) : packed_index(j, i)];
+}
+
+// Gaps below this are closed: far under what a hand can feel at any tissue's stiffness.
+constexpr double kGapTolerance_m = 1e-12;
+// Multipliers within this of a bound are on it.
+constexpr double kMultiplierTolerance_n = 1e-10;
+
+/// Dual of max(|t|, ℓ|θ|): the steepest a linear function with this gradient can change.
+double dual_norm(const Twist& g, double length_m) noexcept {
+  return std::hypot(g[0], g[1], g[2]) + std::hypot(g[3], g[4], g[5]) / length_m;
+}
+
+/// Adds what the model's linear part leaves out: see ModelEvaluator::evaluate.
+void transport(const HapticModel& model, const Twist& xi, const Array3& bilateral_force_n,
+               Wrench& w) noexcept {
+  const Array3 theta{xi[3], xi[4], xi[5]};
+  const Array3 axis{model.slide_twist[0], model.slide_twist[1], model.slide_twist[2]};
+  const Array3 spin{model.slide_twist[3], model.slide_twist[4], model.slide_twist[5]};
+  const auto& m = model.arm_moment_nm;
+  const auto arms = [&](double slide) noexcept {
+    const Array3 carried{theta[0] - slide * spin[0], theta[1] - slide * spin[1],
+                         theta[2] - slide * spin[2]};
+    const double trace = m[0] + m[4] + m[8];
+    const Array3 left_behind = cross(axis, bilateral_force_n);
+    Array3 torque;
+    for (int i = 0; i < 3; ++i) {
+      torque[i] = -slide * left_behind[i] - trace * carried[i];
+      for (int j = 0; j < 3; ++j) torque[i] += m[3 * i + j] * carried[j];
+    }
+    return torque;
+  };
+
+  double slide = 0.0;
+  if (model.slide_stiffness > 0.0) {
+    slide = dot(model.slide_gradient, xi);
+    const Array3 turned = cross(theta, axis), turned_spin = cross(theta, spin);
+    const Array3 torque = arms(slide);
+    double excess = 0.0;
+    for (int i = 0; i < 3; ++i)
+      excess += turned[i] * w.force_n[i] + turned_spin[i] * w.torque_nm[i] + spin[i] * torque[i];
+    slide += excess / model.slide_stiffness;
+    for (int i = 0; i < 3; ++i) {
+      w.force_n[i] -= model.slide_gradient[i] * excess;
+      w.torque_nm[i] -= model.slide_gradient[i + 3] * excess;
+    }
+  }
+  const Array3 torque = arms(slide);
+  for (int i = 0; i < 3; ++i) w.torque_nm[i] += torque[i];
+}
+
+}  // namespace
+
+Twist motion_between(const Pose& reference, const Pose& pose) noexcept {
+  const auto& [bx, by, bz, bw] = reference.orientation_xyzw;
+  const auto& [ax, ay, az, aw] = pose.orientation_xyzw;
+  // q q_k⁻¹ of unit quaternions.
+  double x = -aw * bx + ax * bw - ay * bz + az * by;
+  double y = -aw * by + ax * bz + ay * bw - az * bx;
+  double z = -aw * bz - ax * by + ay * bx + az * bw;
+  double w = aw * bw + ax * bx + ay * by + az * bz;
+  if (w < 0.0) x = -x, y = -y, z = -z, w = -w;
+  const double sine = std::hypot(x, y, z);
+  // θ = 2 atan2(|v|, w) v / |v|, and 2 v as |v| → 0.
+  const double scale = sine > 1e-9 ? 2.0 * std::atan2(sine, w) / sine : 2.0;
+  Twist xi;
+  for (int i = 0; i < 3; ++i) xi[i] = pose.position_m[i] - reference.position_m[i];
+  xi[3] = scale * x, xi[4] = scale * y, xi[5] = scale * z;
+  return xi;
+}
+
+void ModelEvaluator::restart() noexcept {
+  epoch_ = sequence_ = 0;
+  factored_ = false;
+}
+
+void ModelEvaluator::begin(const HapticModel& model) noexcept {
+  epoch_ = model.epoch;
+  sequence_ = model.sequence;
+  factored_ = false;
+  for (int i = 0; i < model.rows; ++i) {
+    const double lambda = model.multiplier_n[i];
+    state_[i] = lambda <= kMultiplierTolerance_n                               ? Row::kZero
+                : lambda >= model.multiplier_max_n[i] - kMultiplierTolerance_n ? Row::kUpper
+                                                                               : Row::kFree;
+  }
+}
+
+// Right-looking, by columns, so that the inner loop is a vector update. Returns false and
+// leaves the offending row out of the free set where S_FF is not positive definite.
+bool ModelEvaluator::factor(const HapticModel& model) noexcept {
+  constexpr int kStride = kModelRowsMax;
+  free_count_ = 0;
+  for (int i = 0; i < model.rows; ++i)
+    if (state_[i] == Row::kFree) free_[free_count_++] = i;
+  for (int j = 0; j < free_count_; ++j)
+    for (int i = j; i < free_count_; ++i)
+      factor_[j * kStride + i] = compliance(model, free_[i], free_[j]);
+  for (int j = 0; j < free_count_; ++j) {
+    double* column = &factor_[j * kStride];
+    const double pivot = column[j];
+    if (!(pivot > 1e-12 * compliance(model, free_[j], free_[j]))) {
+      state_[free_[j]] = Row::kZero;
+      return false;
+    }
+    const double root = std::sqrt(pivot);
+    for (int i = j; i < free_count_; ++i) column[i] /= root;
+    for (int k = j + 1; k < free_count_; ++k) {
+      double* next = &factor_[k * kStride];
+      const double scale = column[k];
+      for (int i = k; i < free_count_; ++i) next[i] -= scale * column[i];
+    }
+  }
+  factored_ = true;
+  return true;
+}
+
+// x ← S_FF⁻¹ x, over the free rows.
+void ModelEvaluator::solve_free(std::array<double, kModelRowsMax>& x) const noexcept {
+  for (int j = 0; j < free_count_; ++j) {
+    const double* column = &factor_[j * kModelRowsMax];
+    x[j] /= column[j];
+    for (int i = j + 1; i < free_count_; ++i) x[i] -= column[i] * x[j];
+  }
+  for (int j = free_count_ - 1; j >= 0; --j) {
+    const double* column = &factor_[j * kModelRowsMax];
+    double sum = x[j];
+    for (int i = j + 1; i < free_count_; ++i) sum -= column[i] * x[i];
+    x[j] = sum / column[j];
+  }
+}
+
+// S_FF λ_F = (q + Ĵ ξ)_F − S_FU λ_max,U
+void ModelEvaluator::solve(const HapticModel& model) noexcept {
+  std::array<double, kModelRowsMax> x;
+  for (int i = 0; i < model.rows; ++i)
+    lambda_[i] = state_[i] == Row::kUpper ? model.multiplier_max_n[i] : 0.0;
+  for (int a = 0; a < free_count_; ++a) {
+    double sum = rhs_[free_[a]];
+    for (int j = 0; j < model.rows; ++j)
+      if (state_[j] == Row::kUpper) sum -= compliance(model, free_[a], j) * lambda_[j];
+    x[a] = sum;
+  }
+  solve_free(x);
+  for (int a = 0; a < free_count_; ++a) lambda_[free_[a]] = x[a];
+}
+
+// Counts the rows on the wrong side of their condition and says where each belongs.
+int ModelEvaluator::violations(const HapticModel& model) noexcept {
+  int count = 0;
+  residual_m_ = 0.0;
+  for (int i = 0; i < model.rows; ++i) {
+    wanted_[i] = state_[i];
+    if (state_[i] == Row::kFree) {
+      const double over = lambda_[i] - model.multiplier_max_n[i];
+      if (lambda_[i] < -kMultiplierTolerance_n) wanted_[i] = Row::kZero;
+      if (over > kMultiplierTolerance_n) wanted_[i] = Row::kUpper;
+      if (wanted_[i] != state_[i])
+        residual_m_ = std::max(residual_m_, compliance(model, i, i) * std::max(-lambda_[i], over));
+    } else {
+      double gap = -rhs_[i];
+      for (int j = 0; j <= i; ++j) gap += model.compliance_m_per_n[packed_index(i, j)] * lambda_[j];
+      for (int j = i + 1; j < model.rows; ++j)
+        gap += model.compliance_m_per_n[packed_index(j, i)] * lambda_[j];
+      const double wrong = state_[i] == Row::kZero ? -gap : gap;
+      if (wrong > kGapTolerance_m) {
+        wanted_[i] = Row::kFree;
+        residual_m_ = std::max(residual_m_, wrong);
+      }
+    }
+    count += wanted_[i] != state_[i];
+  }
+  return count;
+}
+
+void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi) noexcept {
+  for (int i = 0; i < model.rows; ++i) rhs_[i] = model.offset_m[i] + dot(model.jacobian[i], xi);
+
+  // A row found redundant while factoring leaves the set, so this ends.
+  const auto solve_with_set = [&]() noexcept {
+    bool redundant = false;
+    while (!factored_) redundant |= !factor(model);
+    solve(model);
+    return !redundant;
+  };
+  bool exact = solve_with_set();
+  int worst = violations(model);
+  int fewest = worst + 1;
+  for (int pivot = 0; worst > 0 && pivot < kPivotsMax; ++pivot) {
+    if (worst < fewest) {
+      fewest = worst;
+      state_ = wanted_;
+    } else {
+      // Exchanging all did not help: Murty's rule, one row, terminates across calls.
+      for (int i = model.rows - 1; i >= 0; --i)
+        if (wanted_[i] != state_[i]) {
+          state_[i] = wanted_[i];
+          break;
+        }
+    }
+    factored_ = false;
+    exact = solve_with_set();
+    worst = violations(model);
+  }
+  if (worst > 0 || !exact) ++fallbacks_;
+  for (int i = 0; i < model.rows; ++i)
+    lambda_[i] = std::clamp(lambda_[i], 0.0, model.multiplier_max_n[i]);
+}
+
+Wrench ModelEvaluator::evaluate(const HapticModel& model, const Pose& pose) noexcept {
+  if (!model.touching) return {};
+  if (model.epoch != epoch_ || model.sequence != sequence_) begin(model);
+  const Twist xi = motion_between(model.reference, pose);
+  resolve(model, xi);
+
+  Wrench w = model.bilateral_wrench;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 6; ++j) {
+      w.force_n[i] -= model.bilateral_stiffness[6 * i + j] * xi[j];
+      w.torque_nm[i] -= model.bilateral_stiffness[6 * (i + 3) + j] * xi[j];
+    }
+  }
+  const Array3 bilateral_force = w.force_n;
+  for (int r = 0; r < model.rows; ++r) {
+    if (lambda_[r] == 0.0) continue;
+    for (int i = 0; i < 3; ++i) {
+      w.force_n[i] -= model.jacobian[r][i] * lambda_[r];
+      w.torque_nm[i] -= model.jacobian[r][i + 3] * lambda_[r];
+    }
+  }
+
+  transport(model, xi, bilateral_force, w);
+  return w;
+}
+
+Wrench evaluate(const HapticModel& model, const Pose& pose) noexcept {
+  ModelEvaluator evaluator;
+  return evaluator.evaluate(model, pose);
+}
+
+void complete_model(HapticModel& model) noexcept {
+  ModelEvaluator at_rest;
+  at_rest.begin(model);
+  at_rest.resolve(model, Twist{});
+  model.wrench = model.bilateral_wrench;
+  for (int r = 0; r < model.rows; ++r) {
+    for (int i = 0; i < 3; ++i) {
+      model.wrench.force_n[i] -= model.jacobian[r][i] * at_rest.lambda_[r];
+      model.wrench.torque_nm[i] -= model.jacobian[r][i + 3] * at_rest.lambda_[r];
+    }
+  }
+
+  // dλ/dξ, a row per row; zero where λ is at a bound.
+  std::array<Twist, kModelRowsMax> gradient{};
+  for (int k = 0; k < 6; ++k) {
+    std::array<double, kModelRowsMax> x;
+    for (int a = 0; a < at_rest.free_count_; ++a) x[a] = model.jacobian[at_rest.free_[a]][k];
+    at_rest.solve_free(x);
+    for (int a = 0; a < at_rest.free_count_; ++a) gradient[at_rest.free_[a]][k] = x[a];
+  }
+  model.stiffness = model.bilateral_stiffness;
+  for (int r = 0; r < model.rows; ++r)
+    for (int i = 0; i < 6; ++i)
+      for (int j = 0; j < 6; ++j)
+        model.stiffness[6 * i + j] += model.jacobian[r][i] * gradient[r][j];
+
+  double radius = std::numeric_limits<double>::infinity();
+  const auto limit_to = [&](double distance, const Twist& slope) {
+    const double steepest = dual_norm(slope, model.characteristic_length_m);
+    if (steepest > 0.0) radius = std::min(radius, std::max(distance, 0.0) / steepest);
+  };
+  for (int r = 0; r < model.rows; ++r) {
+    const double lambda = at_rest.lambda_[r];
+    if (at_rest.state_[r] == ModelEvaluator::Row::kFree) {
+      limit_to(std::min(lambda, model.multiplier_max_n[r] - lambda), gradient[r]);
+      continue;
+    }
+    double gap = -model.offset_m[r];
+    Twist slope{};
+    for (int i = 0; i < 6; ++i) slope[i] = -model.jacobian[r][i];
+    for (int j = 0; j < model.rows; ++j) {
+      gap += compliance(model, r, j) * at_rest.lambda_[j];
+      for (int i = 0; i < 6; ++i) slope[i] += compliance(model, r, j) * gradient[j][i];
+    }
+    limit_to(std::abs(gap), slope);
+  }
+  model.radius_m = radius;
+}
+
+}  // namespace suture

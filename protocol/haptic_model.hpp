@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: Apache-2.0
+// The 1 kHz view of a simulation: what a tool feels near the pose of the last step.
+//
+// A simulation steps at 30 Hz to 1 kHz. Between two steps the multipliers of the
+// constraint rows are known functions of the tool's small motion, so the force at the
+// hand needs no simulation: a plain value, copied to whoever renders it, is enough.
+//
+//     simulation step k ──▶ HapticModel k ──┬─▶ server's haptic loop ──▶ ToolForce
+//                                           └─▶ DDS ──▶ SDK, on the device's machine
+//
+// Both ends evaluate it with the code below and nothing else.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+namespace suture {
+
+/// A rigid pose: metres, and a unit quaternion in the order x, y, z, w.
+struct Pose {
+  std::array<double, 3> position_m{};
+  std::array<double, 4> orientation_xyzw{0.0, 0.0, 0.0, 1.0};
+};
+
+/// A force in newtons and a torque in newton metres about the tool's origin, on the hand.
+struct Wrench {
+  std::array<double, 3> force_n{};
+  std::array<double, 3> torque_nm{};
+};
+
+/// A small rigid motion: translation (m) of the tool's origin, then rotation vector (rad).
+using Twist = std::array<double, 6>;
+
+/// Returns the motion from `reference` to `pose`, world axes:
+///
+///     ξ = (p − p_k, log(q q_k⁻¹))
+///
+/// The rotation vector is the short one, |θ| ≤ π.
+[[nodiscard]] Twist motion_between(const Pose& reference, const Pose& pose) noexcept;
+
+inline constexpr int kModelRowsMax = 64;
+inline constexpr int kModelPackedMax = kModelRowsMax * (kModelRowsMax + 1) / 2;
+
+/// Where entry (i, j), i ≥ j, of a symmetric matrix lies in its packed lower triangle.
+[[nodiscard]] constexpr int packed_index(int i, int j) noexcept { return i * (i + 1) / 2 + j; }
+
+/// What a tool feels, and how that changes with its small motion ξ since `reference`.
+///
+///     w(ξ)   = w_0 − A_0 ξ − Ĵᵀ λ(ξ)
+///     gap(ξ) = S λ − q − Ĵ ξ,   0 ≤ λ ≤ λ_max,
+///              gap ≥ 0 where λ = 0,  gap ≤ 0 where λ = λ_max,  gap = 0 between
+///
+/// Every bilateral row is condensed into w_0 and A_0; the m rows are the unilateral ones
+/// that may still switch. The slide s of a needle that is held is removed from all of it
+/// (A_0 has P = I − s gᵀ applied, σ = gᵀξ is how far the needle slides), so A_0 and S are
+/// symmetric and positive semidefinite and no closed motion of the hand gains energy.
+///
+/// World axes, SI units, wrenches about the tool's origin. Row-major 6 × 6 matrices in the
+/// order (translation, rotation). A plain value: trivially copyable, about 21 kB.
+struct HapticModel {
+  std::uint64_t epoch = 0;          ///< renewed when the server starts or resets
+  std::uint64_t sequence = 0;       ///< of the step, from 1; 0: there is no model
+  std::int64_t stamp_ns = 0;        ///< when the poses of the step were taken, Unix epoch
+  std::int64_t period_ns = 0;       ///< between steps, as asked for by the scene
+  std::int64_t stale_after_ns = 0;  ///< without a successor for this long, forces fade
+
+  Pose reference;                                ///< the tool's pose in that step
+  Wrench wrench;                                 ///< w_k = w(0)
+  std::array<double, 36> stiffness{};            ///< A: w = w_k − A ξ within `radius_m`
+  Wrench bilateral_wrench;                       ///< w_0
+  std::array<double, 36> bilateral_stiffness{};  ///< A_0
+  std::array<double, 9> arm_moment_nm{};  ///< M = Σ r fᵀ over the bilateral forces f at arms r
+
+  Twist slide_twist{};            ///< s, zero when nothing slides
+  Twist slide_gradient{};         ///< g = A s / κ of the stiffness A before the slide's removal
+  double slide_stiffness = 0.0;   ///< κ = sᵀ A s > 0; zero: nothing slides
+  double slide_friction_n = 0.0;  ///< axial force left along s
+
+  double characteristic_length_m = 0.01;  ///< ℓ of the norm max(|t|, ℓ|θ|)
+  double radius_m = 0.0;  ///< of ξ in that norm, within which no row switches; may be +inf
+
+  bool touching = false;       ///< false: the wrench is exactly zero
+  bool world_changed = false;  ///< contact, puncture, grasp or release in this step
+
+  std::int32_t rows = 0;         ///< m
+  std::int32_t frozen_rows = 0;  ///< rows beyond `kModelRowsMax`, held at their state
+  std::array<double, kModelPackedMax> compliance_m_per_n{};  ///< S, packed lower triangle
+  std::array<Twist, kModelRowsMax> jacobian{};               ///< Ĵ
+  std::array<double, kModelRowsMax> offset_m{};              ///< q
+  std::array<double, kModelRowsMax> multiplier_n{};          ///< λ(0)
+  std::array<double, kModelRowsMax> multiplier_max_n{};      ///< λ_max, +inf where unbounded
+};
+
+/// Evaluates one tool's models, keeping the last active set as the next one's start.
+///
+/// At each pose the complementarity problem of the model is solved again: from the last
+/// active set (of the last pose, or at a new model the set of its `multiplier_n`) by block
+/// principal pivoting with a single-row safeguard, at most `kPivotsMax` changes of the set
+/// a call. Where that does not suffice the last set stands, λ is clamped into
+/// [0, λ_max], the call is counted, and the next call continues from there. So no row ever
+/// pulls, not even for one tick.
+///
+/// Thread: one at a time. Allocates: nothing. Cost: O(m²), and one Cholesky of the free
+/// rows for each change of the set (m = 64: tens of microseconds).
+class ModelEvaluator {
+ public:
+  static constexpr int kPivotsMax = 4;
+
+  /// Returns the wrench that `model` gives at `pose`; zero where it touches nothing.
+  ///
+  /// w(ξ) of the model is taken with the arms and the axis of the reference pose. Tissue
+  /// held by a needle rides along with it, except that the needle slides through by σ s,
+  /// and the axis turns with the tool. A bilateral force f at arm r is therefore found at
+  /// r + θ' × r − σ s_t, θ' = θ − σ s_θ, so the torque about the *present* origin carries
+  ///
+  ///     Δτ = Σ (θ' × r − σ s_t) × f = (M − tr(M) I) θ' − σ s_t × Σ f,   M = Σ r fᵀ
+  ///
+  /// (forces that turn with the needle, arms that grow as it leaves its tissue behind),
+  /// and the needle slides on until the force along the present axis s + θ × s is again
+  /// the friction:
+  ///
+  ///     δσ = ((θ × s)·w + s_θ·Δτ) / κ,   Δw = −κ g δσ,   σ = gᵀξ + δσ
+  ///
+  /// With both the model is exact to first order about any loaded reference. A
+  /// translation without slide adds nothing: origin and forces move together. Unilateral
+  /// rows, which let their tangents go, keep the arms of the reference.
+  [[nodiscard]] Wrench evaluate(const HapticModel& model, const Pose& pose) noexcept;
+
+  /// Forgets the active set: the next call starts from its model's.
+  void restart() noexcept;
+
+  /// Returns how many calls ended with a clamped multiplier.
+  [[nodiscard]] std::uint64_t fallbacks() const noexcept { return fallbacks_; }
+  /// Returns the multipliers of the last call (N), `rows` of them.
+  [[nodiscard]] const std::array<double, kModelRowsMax>& multipliers_n() const noexcept {
+    return lambda_;
+  }
+  /// Returns the worst violation of the last call's complementarity, as a gap (m).
+  [[nodiscard]] double residual_m() const noexcept { return residual_m_; }
+
+ private:
+  friend void complete_model(HapticModel& model) noexcept;
+  enum class Row : std::uint8_t { kZero, kFree, kUpper };
+
+  void begin(const HapticModel& model) noexcept;
+  bool factor(const HapticModel& model) noexcept;
+  void solve(const HapticModel& model) noexcept;
+  void solve_free(std::array<double, kModelRowsMax>& x) const noexcept;
+  int violations(const HapticModel& model) noexcept;
+  void resolve(const HapticModel& model, const Twist& xi) noexcept;
+
+  std::uint64_t epoch_ = 0, sequence_ = 0;
+  std::uint64_t fallbacks_ = 0;
+  double residual_m_ = 0.0;
+  int free_count_ = 0;
+  bool factored_ = false;
+  std::array<Row, kModelRowsMax> state_{};
+  std::array<Row, kModelRowsMax> wanted_{};
+  std::array<std::int32_t, kModelRowsMax> free_{};      // indices of the free rows
+  std::array<double, kModelRowsMax> rhs_{}, lambda_{};  // q + Ĵ ξ, λ
+  // Column j of the Cholesky factor of S_FF starts at j · kModelRowsMax.
+  std::array<double, kModelRowsMax * kModelRowsMax> factor_{};
+};
+
+/// Returns the wrench of `model` at `pose` from the model alone, with no earlier active set.
+[[nodiscard]] Wrench evaluate(const HapticModel& model, const Pose& pose) noexcept;
+
+/// Completes a model whose `bilateral_…` fields and rows are set: `wrench`, `stiffness`
+/// (A = A_0 + Ĵ_Fᵀ S_FF⁻¹ Ĵ_F over the free rows F) and `radius_m`.
+///
+/// In the norm max(|t|, ℓ|θ|) a linear function a + gᵀξ keeps its sign while
+/// |ξ| < |a| / (|g_t| + |g_θ| / ℓ); the radius is the least of these over the free rows'
+/// distances to 0 and λ_max and the other rows' gaps.
+void complete_model(HapticModel& model) noexcept;
+
+}  // namespace suture

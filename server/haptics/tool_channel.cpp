@@ -1,0 +1,484 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "haptics/tool_channel.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "scene/scene.hpp"
+
+namespace sutured::haptics {
+namespace {
+
+// A ramp ends before the promised 50 ms, so that a late tick does not break it.
+constexpr std::int64_t kZeroAfterStale_ns = 30 * kMillisecond_ns;
+constexpr std::int64_t kModelZeroAfter_ns = 45 * kMillisecond_ns;
+constexpr std::int64_t kModelRampMin_ns = 9 * kMillisecond_ns;
+
+// A device that was held up sends what it missed at once; so many poses may come early.
+constexpr std::int64_t kBurst_ns = 8 * kPosePeriodMin_ns;
+// Poses a millisecond apart may arrive together: a jump is one beyond this slack too.
+constexpr std::int64_t kJitter_ns = 5 * kMillisecond_ns;
+constexpr double kMaxSpin_rad_per_s = 60.0;
+constexpr double kQuaternionTolerance = 1e-3;
+constexpr double kJawTolerance = 1e-3;
+// After a pause of the ticks themselves the force moves as if only so much time had gone.
+constexpr std::int64_t kSlewWindow_ns = 4 * kMillisecond_ns;
+constexpr std::int64_t kBlend_ns = 4 * kMillisecond_ns;
+constexpr std::int64_t kBlendOfChangedWorld_ns = 15 * kMillisecond_ns;
+
+void count(std::atomic<std::uint64_t>& counter) noexcept {
+  counter.fetch_add(1, std::memory_order_relaxed);
+}
+
+template <class Range>
+bool all_finite(const Range& values) noexcept {
+  return std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); });
+}
+
+bool finite(const suture::Wrench& w) noexcept {
+  return all_finite(w.force_n) && all_finite(w.torque_nm);
+}
+
+bool finite(const suture::HapticModel& m) noexcept {
+  if (m.rows < 0 || m.rows > suture::kModelRowsMax) return false;
+  bool good = finite(m.wrench) && finite(m.bilateral_wrench) && all_finite(m.stiffness) &&
+              all_finite(m.bilateral_stiffness) && all_finite(m.arm_moment_nm) &&
+              all_finite(m.slide_twist) && all_finite(m.slide_gradient) &&
+              std::isfinite(m.slide_stiffness) && all_finite(m.reference.position_m) &&
+              all_finite(m.reference.orientation_xyzw);
+  const int packed = m.rows * (m.rows + 1) / 2;
+  for (int i = 0; i < packed; ++i) good &= std::isfinite(m.compliance_m_per_n[i]);
+  for (int i = 0; i < m.rows; ++i)
+    good &= all_finite(m.jacobian[i]) && std::isfinite(m.offset_m[i]) &&
+            std::isfinite(m.multiplier_n[i]) && m.multiplier_max_n[i] >= 0.0;
+  return good;
+}
+
+double magnitude(const std::array<double, 3>& v) noexcept { return std::hypot(v[0], v[1], v[2]); }
+
+suture::Wrench scaled(const suture::Wrench& w, double factor) noexcept {
+  suture::Wrench result = w;
+  for (int i = 0; i < 3; ++i) {
+    result.force_n[i] *= factor;
+    result.torque_nm[i] *= factor;
+  }
+  return result;
+}
+
+std::int64_t milliseconds(double ms) noexcept {
+  return static_cast<std::int64_t>(ms * static_cast<double>(kMillisecond_ns));
+}
+
+}  // namespace
+
+ToolChannel::ToolChannel(const scene::Tool& tool, std::int64_t model_period_ns)
+    : pose_stale_after_ns_(milliseconds(tool.stale_after_ms)),
+      pose_zero_after_ns_(pose_stale_after_ns_ + kZeroAfterStale_ns),
+      model_stale_after_ns_(haptics::model_stale_after_ns(model_period_ns)),
+      model_zero_after_ns_(
+          std::max(kModelZeroAfter_ns, model_stale_after_ns_ + kModelRampMin_ns)),
+      max_speed_m_per_s_(tool.max_speed_m_per_s),
+      clutch_mask_(tool.workspace.clutch_button < 0 || tool.workspace.clutch_button > 31
+                       ? 0U
+                       : 1U << static_cast<unsigned>(tool.workspace.clutch_button)),
+      workspace_(tool.workspace) {
+  const suture::ForceLimits asked{
+      .max_force_n = tool.max_force_n,
+      .max_torque_nm = tool.max_torque_nm,
+      .max_force_slew_n_per_s = tool.max_force_slew_n_per_s,
+      .max_torque_slew_nm_per_s = tool.max_torque_slew_nm_per_s,
+  };
+  limits_ = suture::stoppable_within(
+      asked, std::min(kFade_ns, model_zero_after_ns_ - model_stale_after_ns_));
+}
+
+// ------------------------------------------------------------------ receive thread
+
+bool ToolChannel::admit(const PoseSample& sample, std::int64_t now_ns) noexcept {
+  std::uint64_t holder = lease_.load(std::memory_order_acquire);
+  if (holder == 0 && !sample.goodbye &&
+      lease_.compare_exchange_strong(holder, sample.writer, std::memory_order_acq_rel)) {
+    holder = sample.writer;
+    count(counters_.leases);
+  }
+  if (holder != sample.writer) {
+    count(counters_.poses_dropped);
+    // One event a rival, not one a pose.
+    if (!was_refused_) count(counters_.faults[static_cast<unsigned>(Fault::kToolInUse)]);
+    was_refused_ = true;
+    return false;
+  }
+  if (sample.goodbye) {
+    end_lease(sample.writer);
+    admitted_writer_ = 0;
+    return false;
+  }
+  count(counters_.poses);
+  if (sample.stop) set_stopped(true);
+
+  // A new engagement, or one that was silent, begins a new count.
+  const bool fresh = admitted_writer_ != sample.writer ||
+                     now_ns - last_arrival_ns_.load(std::memory_order_relaxed) > kSettle_ns;
+  if (fresh) {
+    was_refused_ = false;
+    due_ns_ = now_ns;
+  } else if (sample.sequence <= admitted_sequence_) {
+    count(counters_.poses_dropped);
+    count(counters_.faults[static_cast<unsigned>(Fault::kPoseOrder)]);
+    return false;
+  } else if (now_ns < due_ns_ - kBurst_ns) {
+    count(counters_.poses_dropped);
+    count(counters_.faults[static_cast<unsigned>(Fault::kPoseRate)]);
+    return false;
+  }
+  if (admitted_writer_ == sample.writer && sample.sequence > admitted_sequence_ + 1)
+    counters_.poses_lost.fetch_add(sample.sequence - admitted_sequence_ - 1,
+                                   std::memory_order_relaxed);
+  due_ns_ = std::max(due_ns_, now_ns) + kPosePeriodMin_ns;
+  admitted_writer_ = sample.writer;
+  admitted_sequence_ = sample.sequence;
+  last_arrival_ns_.store(now_ns, std::memory_order_release);
+  return true;
+}
+
+std::optional<ForceSample> ToolChannel::on_pose(const PoseSample& sample,
+                                                std::int64_t now_ns) noexcept {
+  if (!admit(sample, now_ns)) return std::nullopt;
+  if (!try_hold()) {
+    // The supervisor is in its tick. Put the pose aside; it looks there after letting
+    // go, and we look whether it has let go, so that one of us serves it; at the latest
+    // its next tick does.
+    pending_.publish({sample, now_ns});
+    if (!try_hold()) return std::nullopt;
+    std::optional<ForceSample> force = serve_pending(now_ns);
+    let_go();
+    return force;
+  }
+  const ForceSample force = serve(sample, now_ns);
+  let_go();
+  return force;
+}
+
+// ------------------------------------------------------------------ supervisor
+
+std::optional<ForceSample> ToolChannel::supervise(std::int64_t now_ns) noexcept {
+  const std::int64_t silence_ns = now_ns - last_arrival_ns_.load(std::memory_order_acquire);
+  const std::uint64_t holder = lease();
+  if (holder != 0 && silence_ns > kLeaseSilence_ns) end_lease(holder);
+  if (silence_ns < kTakeover_ns && !pending_.pending()) return std::nullopt;
+  if (!try_hold()) return std::nullopt;
+
+  std::optional<ForceSample> force = serve_pending(now_ns);
+  if (!force && silence_ns >= kTakeover_ns && stage_ != Stage::kIdle) {
+    if (!supervised_) count(counters_.takeovers);
+    supervised_ = true;
+    force = render(now_ns, true);
+    if (stage_ == Stage::kIdle) publish_target(now_ns);
+  }
+  let_go();
+  // A pose may have been put aside since; the newer answer replaces ours.
+  if (pending_.pending() && try_hold()) {
+    if (std::optional<ForceSample> newer = serve_pending(now_ns)) force = newer;
+    let_go();
+  }
+  return force;
+}
+
+// ------------------------------------------------------------------ simulation, others
+
+void ToolChannel::publish_model(const suture::HapticModel& model, std::int64_t taken_ns,
+                                std::int64_t now_ns) noexcept {
+  if (!finite(model)) {
+    count(counters_.faults[static_cast<unsigned>(Fault::kModelNotFinite)]);
+    return;
+  }
+  StampedModel& place = models_.back();
+  place.model = model;
+  place.taken_ns = taken_ns;
+  place.published_ns = now_ns;
+  models_.publish();
+}
+
+const ToolTarget& ToolChannel::target() noexcept {
+  targets_.update();
+  return targets_.front();
+}
+
+const ToolReport& ToolChannel::report() noexcept {
+  reports_.update();
+  return reports_.front();
+}
+
+void ToolChannel::end_lease(std::uint64_t writer) noexcept {
+  if (writer != 0 && lease_.compare_exchange_strong(writer, 0, std::memory_order_acq_rel))
+    count(counters_.returns);
+}
+
+// ------------------------------------------------------------------ holder of the token
+
+void ToolChannel::note(Fault fault) noexcept {
+  latched_ |= fault_bit(fault);
+  count(counters_.faults[static_cast<unsigned>(fault)]);
+}
+
+void ToolChannel::note_while(Fault fault, bool present) noexcept {
+  const std::uint32_t bit = fault_bit(fault);
+  if (present && (ongoing_ & bit) == 0) count(counters_.faults[static_cast<unsigned>(fault)]);
+  ongoing_ = present ? ongoing_ | bit : ongoing_ & ~bit;
+}
+
+std::optional<ForceSample> ToolChannel::serve_pending(std::int64_t now_ns) noexcept {
+  if (!pending_.update()) return std::nullopt;
+  const Arrival& arrival = pending_.front();
+  // Overtaken by a pose that found the token free.
+  if (arrival.sample.writer == writer_ && arrival.sample.sequence <= served_sequence_ &&
+      arrival.arrived_ns <= good_ns_)
+    return std::nullopt;
+  return serve(arrival.sample, now_ns);
+}
+
+std::optional<Fault> ToolChannel::fault_of(const PoseSample& sample,
+                                           std::int64_t now_ns) const noexcept {
+  const auto& p = sample.pose.position_m;
+  const auto& q = sample.pose.orientation_xyzw;
+  if (!all_finite(p) || !all_finite(q) || !std::isfinite(sample.jaw)) return Fault::kPoseNotFinite;
+  const double norm = std::hypot(std::hypot(q[0], q[1]), std::hypot(q[2], q[3]));
+  if (!(std::abs(norm - 1.0) <= kQuaternionTolerance)) return Fault::kPoseQuaternion;
+  if (sample.jaw < -kJawTolerance || sample.jaw > 1.0 + kJawTolerance) return Fault::kPoseJaw;
+  if (has_previous_) {
+    if (sample.frame != frame_) return Fault::kPoseJump;
+    const double elapsed_s = static_cast<double>(now_ns - good_ns_ + kJitter_ns) * 1e-9;
+    const suture::Twist xi = suture::motion_between(device_pose_, sample.pose);
+    if (std::hypot(xi[0], xi[1], xi[2]) > max_speed_m_per_s_ * elapsed_s ||
+        std::hypot(xi[3], xi[4], xi[5]) > std::max(kMaxSpin_rad_per_s * elapsed_s, 0.0))
+      return Fault::kPoseJump;
+  }
+  return std::nullopt;
+}
+
+ForceSample ToolChannel::serve(const PoseSample& sample, std::int64_t now_ns) noexcept {
+  if (sample.writer != writer_) {
+    // Another hand: nothing of what the last one felt belongs to it.
+    writer_ = sample.writer;
+    stage_ = Stage::kSettling;
+    has_previous_ = clutched_ = false;
+    good_since_ns_ = now_ns;
+    latched_ = 0;
+    last_ = {};
+    gain_.clear();
+    workspace_.reset();
+  }
+  supervised_ = false;
+  served_sequence_ = sample.sequence;
+  pose_stamp_ns_ = sample.stamp_ns;
+
+  const std::optional<Fault> fault = fault_of(sample, now_ns);
+  if (fault) {
+    note(*fault);
+    begin_fading(now_ns);
+    good_since_ns_ = now_ns;
+  }
+  // A jump is a good pose in itself: the next ones are measured from there.
+  if (!fault || *fault == Fault::kPoseJump) accept(sample, now_ns);
+  return render(now_ns, false);
+}
+
+void ToolChannel::accept(const PoseSample& sample, std::int64_t now_ns) noexcept {
+  if (has_previous_ && now_ns - good_ns_ >= pose_zero_after_ns_) good_since_ns_ = now_ns;
+  if (sample.frame != frame_ && stage_ == Stage::kSettling) workspace_.reset();
+  device_pose_ = sample.pose;
+  good_ns_ = now_ns;
+  has_previous_ = true;
+
+  const bool clutch = sample.frame == Frame::kDevice && (sample.buttons & clutch_mask_) != 0;
+  if (clutch && !clutched_) begin_fading(now_ns);
+  if (stage_ == Stage::kFading) {
+    // The tool stays where it is until the hand feels nothing.
+    clutched_ |= clutch;
+    return;
+  }
+  if (clutch) {
+    clutched_ = true;
+    return;
+  }
+  frame_ = sample.frame;
+  if (clutched_) {
+    clutched_ = false;
+    workspace_.engage(sample.pose, pose_);
+    good_since_ns_ = now_ns;
+  }
+  pose_ = sample.frame == Frame::kDevice ? workspace_.to_world(sample.pose) : sample.pose;
+  jaw_ = std::clamp(sample.jaw, 0.0, 1.0);
+  publish_target(now_ns);
+}
+
+void ToolChannel::publish_target(std::int64_t now_ns) noexcept {
+  targets_.publish({stage_ != Stage::kIdle, pose_, jaw_, served_sequence_, now_ns});
+}
+
+void ToolChannel::begin_fading(std::int64_t now_ns) noexcept {
+  if (stage_ == Stage::kRendering) {
+    stage_ = Stage::kFading;
+    fade_since_ns_ = now_ns;
+  }
+}
+
+// Moves between stages where time, or somebody else, asks for it.
+void ToolChannel::leave_or_stay(std::int64_t now_ns) noexcept {
+  const bool stopped = stopped_.load(std::memory_order_acquire);
+  const bool paused = paused_.load(std::memory_order_acquire);
+  const bool leased = lease() == writer_ && writer_ != 0;
+  note_while(Fault::kStopped, stopped);
+  if (stopped || paused || !leased) begin_fading(now_ns);
+
+  if (stage_ == Stage::kRendering || stage_ == Stage::kFading) {
+    if (gain_.phase() > 0.0 || magnitude(last_.force_n) > 0.0 || magnitude(last_.torque_nm) > 0.0)
+      return;
+    // Zero since the last tick: a fade, or staleness, is complete.
+    const bool stale = ceiling(now_ns) == 0.0;
+    if (stage_ == Stage::kFading || stale) {
+      stage_ = Stage::kSettling;
+      good_since_ns_ = std::max(good_since_ns_, now_ns);
+      blend_.clear();
+    }
+    return;
+  }
+  if (stage_ != Stage::kSettling) return;
+  if (!leased) {
+    stage_ = Stage::kIdle;
+    writer_ = 0;
+    latched_ = 0;
+    return;
+  }
+  const StampedModel& current = models_.front();
+  const bool good_poses = has_previous_ && good_ns_ - good_since_ns_ >= kSettle_ns &&
+                          now_ns - good_ns_ < pose_stale_after_ns_;
+  const bool good_model = has_model_ && current.taken_ns >= good_since_ns_ &&
+                          now_ns - current.published_ns < model_stale_after_ns_;
+  if (good_poses && good_model && !clutched_ && !stopped && !paused) {
+    stage_ = Stage::kRendering;
+    gain_.clear();
+    blend_.clear();
+  }
+}
+
+// What the model gives at the pose in force, without a step where the model is new.
+suture::Wrench ToolChannel::model_wrench(std::int64_t now_ns) noexcept {
+  const bool renders = stage_ == Stage::kRendering || stage_ == Stage::kFading;
+  if (!models_.pending()) {
+    if (!renders || !has_model_) return {};
+    return blend_.apply(evaluator_.evaluate(models_.front().model, pose_), now_ns);
+  }
+  // The old model is asked once more, before its place goes back to the writer.
+  const suture::Wrench shown =
+      renders && has_model_
+          ? blend_.apply(evaluator_.evaluate(models_.front().model, pose_), now_ns)
+          : suture::Wrench{};
+  models_.update();
+  const suture::HapticModel& model = models_.front().model;
+  if (has_model_ && model.epoch != epoch_) begin_fading(now_ns);  // the world was reset
+  epoch_ = model.epoch;
+  has_model_ = true;
+  if (!renders) return {};
+  const suture::Wrench next = evaluator_.evaluate(model, pose_);
+  const std::int64_t period_ns = std::max<std::int64_t>(model.period_ns, kMillisecond_ns);
+  blend_.swap(shown, next, now_ns,
+              model.world_changed ? kBlendOfChangedWorld_ns : std::min(kBlend_ns, period_ns));
+  return blend_.apply(next, now_ns);
+}
+
+double ToolChannel::ceiling(std::int64_t now_ns) noexcept {
+  if (stage_ == Stage::kIdle || stage_ == Stage::kSettling) return 0.0;
+  const double pose =
+      suture::freshness(now_ns - good_ns_, pose_stale_after_ns_, pose_zero_after_ns_);
+  const double model = suture::freshness(now_ns - models_.front().published_ns,
+                                         model_stale_after_ns_, model_zero_after_ns_);
+  double result = std::min(pose, model);
+  if (stage_ == Stage::kFading)
+    result = std::min({result, gain_.phase(),
+                       suture::freshness(now_ns - fade_since_ns_, 0, kFade_ns)});
+  return result;
+}
+
+ToolState ToolChannel::state() const noexcept {
+  if (stage_ == Stage::kIdle) return ToolState::kIdle;
+  if (stopped_.load(std::memory_order_relaxed)) return ToolState::kStopped;
+  if (paused_.load(std::memory_order_relaxed)) return ToolState::kPaused;
+  if (clutched_) return ToolState::kClutched;
+  if (stage_ == Stage::kRendering)
+    return gain_.phase() < 1.0 ? ToolState::kRamping : ToolState::kRendering;
+  return latched_ != 0 ? ToolState::kFault : ToolState::kRamping;
+}
+
+ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexcept {
+  // Two threads may tick with times taken in the other order.
+  now_ns = std::max(now_ns, rendered_ns_);
+  const std::int64_t elapsed_ns = std::min(now_ns - rendered_ns_, kSlewWindow_ns);
+  rendered_ns_ = now_ns;
+
+  leave_or_stay(now_ns);
+  const suture::Wrench world = model_wrench(now_ns);
+  const bool engaged = stage_ != Stage::kIdle;
+  if (engaged && has_previous_) {
+    const bool pose_stale = now_ns - good_ns_ > pose_stale_after_ns_;
+    const bool model_stale =
+        has_model_ && now_ns - models_.front().published_ns > model_stale_after_ns_ &&
+        !paused_.load(std::memory_order_relaxed);
+    note_while(Fault::kPoseStale, pose_stale);
+    note_while(Fault::kModelStale, model_stale);
+    if (pose_stale) latched_ |= fault_bit(Fault::kPoseStale);
+    if (model_stale) latched_ |= fault_bit(Fault::kModelStale);
+  }
+  note_while(Fault::kModelPivots, evaluator_.fallbacks() != last_fallbacks_);
+  last_fallbacks_ = evaluator_.fallbacks();
+
+  const double gain = gain_.update(ceiling(now_ns), elapsed_ns);
+  if (latched_ != 0 && gain_.phase() >= 1.0) {
+    latched_ = 0;
+    count(counters_.recoveries);
+  }
+  const suture::Wrench felt = scaled(world, gain);
+  bool too_strong = false, too_fast = false;
+  const suture::Wrench wanted = suture::limit_magnitude(
+      frame_ == Frame::kDevice ? workspace_.to_device(felt) : felt, limits_, too_strong);
+  last_ = suture::limit_slew(wanted, last_, elapsed_ns, limits_, too_fast);
+  note_while(Fault::kForceLimit, too_strong);
+  note_while(Fault::kSlewLimit, too_fast);
+
+  ForceSample force;
+  force.writer = writer_;
+  force.epoch = epoch_;
+  force.sequence = ++sequence_;
+  force.pose_sequence = served_sequence_;
+  force.pose_stamp_ns = pose_stamp_ns_;
+  force.model_sequence = has_model_ ? models_.front().model.sequence : 0;
+  force.frame = frame_;
+  force.state = state();
+  force.faults = latched_ | ongoing_;
+  force.touching = has_model_ && models_.front().model.touching;
+  force.engaged = engaged && !clutched_ && stage_ != Stage::kFading;
+  force.from_supervisor = from_supervisor;
+  force.wrench = last_;
+  count(counters_.forces);
+
+  const double shown_n = magnitude(last_.force_n);
+  peak_force_n_ = std::max(peak_force_n_, shown_n);
+  ToolReport& report = reports_.back();
+  report.state = force.state;
+  report.faults = force.faults;
+  report.writer = writer_;
+  report.pose = pose_;
+  report.jaw = jaw_;
+  report.wrench = felt;
+  report.gain = gain;
+  report.touching = force.touching;
+  report.engaged = force.engaged;
+  report.shown_force_n = shown_n;
+  report.peak_force_n = peak_force_n_;
+  report.mapping = workspace_;
+  report.model_age_ns = has_model_ ? now_ns - models_.front().published_ns : 0;
+  reports_.publish();
+  return force;
+}
+
+}  // namespace sutured::haptics

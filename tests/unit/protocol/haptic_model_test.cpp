@@ -1,0 +1,444 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "protocol/haptic_model.hpp"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <random>
+#include <vector>
+
+namespace suture {
+namespace {
+
+using Mat6 = Eigen::Matrix<double, 6, 6>;
+using Vec6 = Eigen::Matrix<double, 6, 1>;
+using Vec3 = Eigen::Vector3d;
+
+Pose pose_of(const Vec3& p, const Eigen::Quaterniond& q) {
+  return {{p.x(), p.y(), p.z()}, {q.x(), q.y(), q.z(), q.w()}};
+}
+
+Eigen::Quaterniond rotation(const Vec3& theta) {
+  const double angle = theta.norm();
+  if (angle == 0.0) return Eigen::Quaterniond::Identity();
+  return Eigen::Quaterniond(Eigen::AngleAxisd(angle, theta / angle));
+}
+
+Vec6 vector_of(const Wrench& w) {
+  Vec6 v;
+  v << w.force_n[0], w.force_n[1], w.force_n[2], w.torque_nm[0], w.torque_nm[1], w.torque_nm[2];
+  return v;
+}
+
+Wrench wrench_of(const Vec6& v) { return {{v[0], v[1], v[2]}, {v[3], v[4], v[5]}}; }
+
+void set_matrix(std::array<double, 36>& to, const Mat6& from) {
+  for (int i = 0; i < 6; ++i)
+    for (int j = 0; j < 6; ++j) to[6 * i + j] = from(i, j);
+}
+
+class RandomModels {
+ public:
+  explicit RandomModels(unsigned seed) : engine_(seed) {}
+
+  double uniform(double low, double high) {
+    return std::uniform_real_distribution<double>(low, high)(engine_);
+  }
+  Vec6 twist(double translation_m, double rotation_rad) {
+    Vec6 xi;
+    for (int i = 0; i < 6; ++i) xi[i] = uniform(-1.0, 1.0) * (i < 3 ? translation_m : rotation_rad);
+    return xi;
+  }
+
+  /// A model of `rows` rows with tissue-like magnitudes: compliances of about 0.02 m/N.
+  HapticModel make(int rows) {
+    HapticModel model;
+    model.sequence = ++sequence_;
+    model.epoch = 1;
+    model.touching = true;
+    model.rows = rows;
+    Eigen::MatrixXd b(rows, rows);
+    for (int i = 0; i < rows; ++i)
+      for (int j = 0; j < rows; ++j) b(i, j) = uniform(-1.0, 1.0);
+    const Eigen::MatrixXd s =
+        0.02 / std::max(rows, 1) * b * b.transpose() + 1e-4 * Eigen::MatrixXd::Identity(rows, rows);
+    for (int i = 0; i < rows; ++i) {
+      for (int j = 0; j <= i; ++j) model.compliance_m_per_n[packed_index(i, j)] = s(i, j);
+      const Vec6 row = twist(1.0, 0.005);
+      for (int k = 0; k < 6; ++k) model.jacobian[i][k] = row[k];
+      model.offset_m[i] = uniform(-1e-3, 1e-3);
+      model.multiplier_max_n[i] = i % 3 == 0 ? 0.05 : std::numeric_limits<double>::infinity();
+    }
+    Mat6 l = Mat6::Zero();
+    for (int i = 0; i < 6; ++i)
+      for (int j = 0; j <= i; ++j) l(i, j) = uniform(-1.0, 1.0) * (i < 3 ? 5.0 : 0.03);
+    set_matrix(model.bilateral_stiffness, l * l.transpose());
+    model.bilateral_wrench = wrench_of(twist(0.2, 1e-3));
+    return model;
+  }
+
+ private:
+  std::mt19937 engine_;
+  std::uint64_t sequence_ = 0;
+};
+
+Eigen::MatrixXd compliance_of(const HapticModel& model) {
+  Eigen::MatrixXd s(model.rows, model.rows);
+  for (int i = 0; i < model.rows; ++i)
+    for (int j = 0; j <= i; ++j) s(i, j) = s(j, i) = model.compliance_m_per_n[packed_index(i, j)];
+  return s;
+}
+
+/// The worst violation of the box complementarity conditions, in metres.
+double complementarity_residual_m(const HapticModel& model, const Vec6& xi,
+                                  const Eigen::VectorXd& lambda) {
+  const Eigen::MatrixXd s = compliance_of(model);
+  double worst = 0.0;
+  for (int i = 0; i < model.rows; ++i) {
+    double gap = s.row(i).dot(lambda) - model.offset_m[i];
+    for (int k = 0; k < 6; ++k) gap -= model.jacobian[i][k] * xi[k];
+    // The natural residual: λ − clamp(λ − gap / s_ii) vanishes exactly at solutions.
+    const double projected = std::clamp(lambda[i] - gap / s(i, i), 0.0, model.multiplier_max_n[i]);
+    worst = std::max(worst, std::abs(lambda[i] - projected) * s(i, i));
+  }
+  return worst;
+}
+
+/// Tries all 3^m active sets.
+Eigen::VectorXd solve_by_enumeration(const HapticModel& model, const Vec6& xi) {
+  const int m = model.rows;
+  const Eigen::MatrixXd s = compliance_of(model);
+  Eigen::VectorXd rhs(m);
+  for (int i = 0; i < m; ++i) {
+    rhs[i] = model.offset_m[i];
+    for (int k = 0; k < 6; ++k) rhs[i] += model.jacobian[i][k] * xi[k];
+  }
+  int sets = 1;
+  for (int i = 0; i < m; ++i) sets *= 3;
+  Eigen::VectorXd best = Eigen::VectorXd::Zero(m);
+  double best_residual = std::numeric_limits<double>::infinity();
+  for (int set = 0; set < sets; ++set) {
+    Eigen::VectorXd lambda = Eigen::VectorXd::Zero(m);
+    std::vector<int> free;
+    bool possible = true;
+    for (int i = 0, digits = set; i < m; ++i, digits /= 3) {
+      if (digits % 3 == 1) free.push_back(i);
+      if (digits % 3 == 2) {
+        lambda[i] = model.multiplier_max_n[i];
+        possible &= std::isfinite(lambda[i]);
+      }
+    }
+    if (!possible) continue;
+    const int n = static_cast<int>(free.size());
+    Eigen::MatrixXd sff(n, n);
+    Eigen::VectorXd r(n);
+    for (int a = 0; a < n; ++a) {
+      r[a] = rhs[free[a]] - s.row(free[a]).dot(lambda);
+      for (int b = 0; b < n; ++b) sff(a, b) = s(free[a], free[b]);
+    }
+    if (n > 0) {
+      const Eigen::VectorXd x = sff.ldlt().solve(r);
+      for (int a = 0; a < n; ++a) lambda[free[a]] = x[a];
+    }
+    const double residual = complementarity_residual_m(model, xi, lambda);
+    if (residual < best_residual) best_residual = residual, best = lambda;
+  }
+  return best;
+}
+
+Pose moved(const Vec6& xi) { return pose_of(xi.head<3>(), rotation(xi.tail<3>())); }
+
+TEST(MotionBetween, InvertsTheExponentialOfARotation) {
+  RandomModels random(1);
+  for (int i = 0; i < 200; ++i) {
+    const Eigen::Quaterniond q = rotation(random.twist(0, 3.0).tail<3>());
+    const Vec3 p = random.twist(0.1, 0).head<3>();
+    // Below 3 / sqrt(3) per axis the rotation is shorter than π.
+    const Vec6 xi = random.twist(0.05, i % 2 ? 1.7 : 1e-7);
+    const Twist found =
+        motion_between(pose_of(p, q), pose_of(p + xi.head<3>(), rotation(xi.tail<3>()) * q));
+    for (int k = 0; k < 6; ++k) EXPECT_NEAR(found[k], xi[k], 1e-14 + 1e-9 * std::abs(xi[k]));
+  }
+}
+
+TEST(MotionBetween, TakesTheShortWayForEitherSignOfAQuaternion) {
+  const Eigen::Quaterniond q = rotation({0.1, 0.2, -0.3});
+  const Eigen::Quaterniond minus(-q.w(), -q.x(), -q.y(), -q.z());
+  const Twist xi = motion_between(pose_of(Vec3::Zero(), q), pose_of(Vec3::Zero(), minus));
+  for (const double component : xi) EXPECT_NEAR(component, 0.0, 1e-12);
+}
+
+TEST(HapticModel, IsZeroWhereNothingTouches) {
+  RandomModels random(2);
+  HapticModel model = random.make(4);
+  model.touching = false;
+  EXPECT_EQ(vector_of(evaluate(model, moved(random.twist(1e-3, 0.05)))).norm(), 0.0);
+}
+
+TEST(HapticModel, SolvesItsComplementarityProblemLikeAnEnumerationOfAllSets) {
+  RandomModels random(3);
+  ModelEvaluator evaluator;
+  int checked = 0;
+  for (int trial = 0; trial < 300; ++trial) {
+    const HapticModel model = random.make(1 + trial % 6);
+    for (int k = 0; k < 4; ++k) {
+      const Vec6 xi = random.twist(2e-3, 0.05);
+      const std::uint64_t before = evaluator.fallbacks();
+      const Vec6 found = vector_of(evaluator.evaluate(model, moved(xi)));
+      if (evaluator.fallbacks() != before) continue;
+      ++checked;
+      const Eigen::VectorXd lambda = solve_by_enumeration(model, xi);
+      Vec6 expected = vector_of(model.bilateral_wrench) -
+                      Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(
+                          model.bilateral_stiffness.data()) *
+                          xi;
+      for (int r = 0; r < model.rows; ++r)
+        for (int i = 0; i < 6; ++i) expected[i] -= model.jacobian[r][i] * lambda[r];
+      EXPECT_LT((found - expected).norm(), 1e-9);
+    }
+  }
+  EXPECT_GT(checked, 1150);  // of 1200 random leaps four changes of the set suffice for nearly all
+}
+
+TEST(HapticModel, FollowsAHandThroughSixtyFourRowsWithoutRunningOutOfPivots) {
+  RandomModels random(4);
+  for (int trial = 0; trial < 5; ++trial) {
+    const HapticModel model = random.make(kModelRowsMax);
+    ModelEvaluator evaluator;
+    // Let the first call, which knows nothing, settle where it starts.
+    for (int i = 0; i < 20; ++i) (void)evaluator.evaluate(model, Pose{});
+    const std::uint64_t before = evaluator.fallbacks();
+    const Vec6 goal = random.twist(1e-3, 0.02);
+    for (int tick = 0; tick <= 100; ++tick) {
+      const Vec6 xi = goal * (tick / 100.0);
+      (void)evaluator.evaluate(model, moved(xi));
+      const Eigen::Map<const Eigen::VectorXd> lambda(evaluator.multipliers_n().data(), model.rows);
+      ASSERT_LT(complementarity_residual_m(model, xi, lambda), 1e-10) << tick;
+    }
+    EXPECT_EQ(evaluator.fallbacks(), before);
+  }
+}
+
+TEST(HapticModel, NeverPullsEvenWhereItsPivotsRunOut) {
+  RandomModels random(5);
+  ModelEvaluator evaluator;
+  for (int trial = 0; trial < 200; ++trial) {
+    const HapticModel model = random.make(kModelRowsMax);
+    for (int k = 0; k < 3; ++k) {
+      (void)evaluator.evaluate(model, moved(random.twist(0.05, 1.0)));
+      for (int r = 0; r < model.rows; ++r) {
+        ASSERT_GE(evaluator.multipliers_n()[r], 0.0);
+        ASSERT_LE(evaluator.multipliers_n()[r], model.multiplier_max_n[r]);
+      }
+    }
+  }
+  EXPECT_GT(evaluator.fallbacks(), 0U) << "the leaps were meant to exhaust the pivots";
+}
+
+TEST(HapticModel, LeavesContactWithoutGlue) {
+  // A wall of 50 N/m at x = 0, touched 1 mm deep; the hand leaves through x > 0.
+  HapticModel model;
+  model.epoch = model.sequence = 1;
+  model.touching = true;
+  model.rows = 1;
+  model.compliance_m_per_n[0] = 0.02;
+  model.jacobian[0] = {-1.0, 0, 0, 0, 0, 0};
+  model.offset_m[0] = 1e-3;
+  model.multiplier_n[0] = 0.05;
+  model.multiplier_max_n[0] = 0.1;
+  complete_model(model);
+  EXPECT_NEAR(model.wrench.force_n[0], 0.05, 1e-12);
+  EXPECT_NEAR(model.stiffness[0], 50.0, 1e-9);
+  EXPECT_NEAR(model.radius_m, 1e-3, 1e-12);
+  ModelEvaluator evaluator;
+  for (int i = -40; i <= 40; ++i) {
+    const double x = i * 1e-4;
+    const double expected = std::clamp(50.0 * (1e-3 - x), 0.0, 0.1);
+    EXPECT_NEAR(evaluator.evaluate(model, moved(Vec6::Unit(0) * x)).force_n[0], expected, 1e-9);
+  }
+  EXPECT_EQ(evaluator.fallbacks(), 0U);
+}
+
+TEST(HapticModel, SurvivesRedundantRows) {
+  HapticModel model;
+  model.epoch = model.sequence = 1;
+  model.touching = true;
+  model.rows = 2;
+  model.compliance_m_per_n = {0.02, 0.02, 0.02};  // the same row twice, no compliance
+  model.jacobian[0] = model.jacobian[1] = {-1.0, 0, 0, 0, 0, 0};
+  model.offset_m[0] = model.offset_m[1] = 1e-3;
+  model.multiplier_max_n[0] = model.multiplier_max_n[1] = std::numeric_limits<double>::infinity();
+  ModelEvaluator evaluator;
+  EXPECT_NEAR(evaluator.evaluate(model, Pose{}).force_n[0], 0.05, 1e-12);
+}
+
+// Work given to the hand on a closed way through the six-dimensional ξ, its exact value
+// replaced by a fine trapezoidal sum (error of order steps⁻²).
+double loop_work_j(const HapticModel& model, const Vec6& a, const Vec6& b, int steps) {
+  ModelEvaluator evaluator;
+  // A leap to the start may take more changes of the active set than one call makes.
+  for (int i = 0; i < 5; ++i) (void)evaluator.evaluate(model, moved(a));
+  double work = 0.0;
+  Vec6 last_xi = a;
+  Vec6 last_w = vector_of(evaluator.evaluate(model, moved(last_xi)));
+  for (int i = 1; i <= steps; ++i) {
+    const double t = 2.0 * M_PI * i / steps;
+    const Vec6 xi = a * std::cos(t) + b * std::sin(t);
+    const Vec6 w = vector_of(evaluator.evaluate(model, moved(xi)));
+    work += 0.5 * (w + last_w).dot(xi - last_xi);
+    last_xi = xi, last_w = w;
+  }
+  return work;
+}
+
+TEST(HapticModel, GivesNoEnergyOnAClosedLoop) {
+  RandomModels random(6);
+  for (const int rows : {0, 8}) {
+    for (int trial = 0; trial < 10; ++trial) {
+      HapticModel model = random.make(rows);
+      const Vec6 a = random.twist(3e-4, 0.035), b = random.twist(3e-4, 0.035);
+      const Mat6 stiffness = Eigen::Map<const Mat6>(model.bilateral_stiffness.data());
+      const double stored = 0.5 * (a.dot(stiffness * a) + b.dot(stiffness * b));
+      EXPECT_LT(std::abs(loop_work_j(model, a, b, 4000)), 1e-4 * stored);
+      // The check can fail: a skew part, as a slide by least squares has, pumps.
+      Mat6 skew = stiffness;
+      skew += 0.09 * (stiffness.triangularView<Eigen::StrictlyUpper>().toDenseMatrix() -
+                      stiffness.triangularView<Eigen::StrictlyLower>().toDenseMatrix());
+      set_matrix(model.bilateral_stiffness, skew);
+      EXPECT_GT(std::abs(loop_work_j(model, a, b, 4000)), 1e-3 * stored);
+    }
+  }
+}
+
+// A rigid tool whose points r_i hang on springs: the exact wrench at any pose.
+struct SpringTool {
+  std::vector<Vec3> arms, anchors;
+  double k = 50.0;
+  Vec6 slide = Vec6::Zero();  // unit twist of the tool's own axis; zero: no slide
+
+  /// Where point i lies on the tool after the tissue slid back by σ along the axis.
+  Vec3 arm(std::size_t i, double sigma) const { return arms[i] - sigma * slide.head<3>(); }
+
+  Vec6 wrench(const Vec6& xi, double sigma) const {
+    Vec6 w = Vec6::Zero();
+    const Eigen::Quaterniond q = rotation(xi.tail<3>());
+    for (std::size_t i = 0; i < arms.size(); ++i) {
+      const Vec3 r = q * arm(i, sigma);
+      const Vec3 f = k * (anchors[i] - (xi.head<3>() + r));
+      w.head<3>() += f;
+      w.tail<3>() += r.cross(f);
+    }
+    return w;
+  }
+  double axial(const Vec6& xi, double sigma) const {
+    return (rotation(xi.tail<3>()) * slide.head<3>()).dot(wrench(xi, sigma).head<3>());
+  }
+  Vec6 wrench_after_slide(const Vec6& xi) const {
+    if (slide.isZero()) return wrench(xi, 0.0);
+    // The axial force is affine in σ: two evaluations give its zero.
+    const double a0 = axial(xi, 0.0), a1 = axial(xi, 1e-3);
+    return wrench(xi, -1e-3 * a0 / (a1 - a0));
+  }
+
+  HapticModel model() const {
+    HapticModel result;
+    result.epoch = result.sequence = 1;
+    result.touching = true;
+    Mat6 a = Mat6::Zero();
+    Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();
+    for (std::size_t i = 0; i < arms.size(); ++i) {
+      Eigen::Matrix<double, 3, 6> j;
+      const Vec3& r = arms[i];
+      j << Eigen::Matrix3d::Identity(),
+          (Eigen::Matrix3d() << 0, r.z(), -r.y(), -r.z(), 0, r.x(), r.y(), -r.x(), 0).finished();
+      a += k * j.transpose() * j;
+      moment += r * (k * (anchors[i] - r)).transpose();
+    }
+    if (!slide.isZero()) {
+      const double kappa = slide.dot(a * slide);
+      const Vec6 g = a * slide / kappa;
+      a = a - a * slide * g.transpose();
+      for (int i = 0; i < 6; ++i) {
+        result.slide_twist[i] = slide[i];
+        result.slide_gradient[i] = g[i];
+      }
+      result.slide_stiffness = kappa;
+    }
+    set_matrix(result.bilateral_stiffness, a);
+    result.bilateral_wrench = wrench_of(wrench_after_slide(Vec6::Zero()));
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) result.arm_moment_nm[3 * i + j] = moment(i, j);
+    return result;
+  }
+};
+
+SpringTool random_tool(RandomModels& random, bool slides) {
+  SpringTool tool;
+  if (slides) tool.slide.head<3>() = Vec3(0.36, 0.48, 0.8);
+  Vec3 mean = Vec3::Zero();
+  for (int i = 0; i < 6; ++i) {
+    tool.arms.push_back(random.twist(0.01, 0).head<3>());
+    tool.anchors.push_back(tool.arms.back() + random.twist(2e-3, 0).head<3>());
+    mean += tool.anchors.back() - tool.arms.back();
+  }
+  // At the reference the slide has left no axial force.
+  if (slides)
+    for (Vec3& anchor : tool.anchors)
+      anchor -= tool.slide.head<3>() * tool.slide.head<3>().dot(mean) / 6.0;
+  return tool;
+}
+
+double error_at(const SpringTool& tool, const HapticModel& model, const Vec6& xi) {
+  const Vec6 error = vector_of(evaluate(model, moved(xi))) - tool.wrench_after_slide(xi);
+  return error.head<3>().norm() + error.tail<3>().norm() / 0.01;
+}
+
+TEST(HapticModel, CarriesTorqueArmsToSecondOrder) {
+  RandomModels random(7);
+  for (const bool slides : {false, true}) {
+    for (int trial = 0; trial < 20; ++trial) {
+      const SpringTool tool = random_tool(random, slides);
+      HapticModel model = tool.model();
+      const Vec6 xi = random.twist(5e-4, 0.02);
+      // Second order: half the motion, a quarter of the error.
+      const double whole = error_at(tool, model, xi), half = error_at(tool, model, xi / 2);
+      EXPECT_NEAR(half / whole, 0.25, 0.05) << "slides " << slides;
+      model.arm_moment_nm = {};
+      model.slide_stiffness = 0.0;
+      const double bare = error_at(tool, model, xi / 64),
+                   bare_half = error_at(tool, model, xi / 128);
+      EXPECT_GT(bare_half / bare, 0.4) << "without the arms the error is of first order";
+    }
+  }
+}
+
+TEST(CompleteModel, GivesTheTangentAndTheRadiusOfTheActiveSet) {
+  RandomModels random(8);
+  for (int trial = 0; trial < 50; ++trial) {
+    HapticModel model = random.make(12);
+    ModelEvaluator settled;
+    for (int i = 0; i < 20; ++i) (void)settled.evaluate(model, Pose{});
+    model.multiplier_n = settled.multipliers_n();
+    complete_model(model);
+    ASSERT_GT(model.radius_m, 0.0);
+    const Mat6 a =
+        Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(model.stiffness.data());
+    EXPECT_LT((a - a.transpose()).norm(), 1e-9 * a.norm());
+    for (int k = 0; k < 20; ++k) {
+      Vec6 xi = random.twist(1.0, 1.0);
+      const double norm =
+          std::max(xi.head<3>().norm(), model.characteristic_length_m * xi.tail<3>().norm());
+      xi *= 0.999 * std::min(model.radius_m, 1e-2) / norm;
+      const Vec6 affine = vector_of(model.wrench) - a * xi;
+      // No row switches within the radius, so the affine model is exact there.
+      EXPECT_LT((vector_of(evaluate(model, moved(xi))) - affine).norm(), 1e-9);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace suture
