@@ -75,8 +75,7 @@ ToolChannel::ToolChannel(const scene::Tool& tool, std::int64_t model_period_ns)
     : pose_stale_after_ns_(milliseconds(tool.stale_after_ms)),
       pose_zero_after_ns_(pose_stale_after_ns_ + kZeroAfterStale_ns),
       model_stale_after_ns_(haptics::model_stale_after_ns(model_period_ns)),
-      model_zero_after_ns_(
-          std::max(kModelZeroAfter_ns, model_stale_after_ns_ + kModelRampMin_ns)),
+      model_zero_after_ns_(std::max(kModelZeroAfter_ns, model_stale_after_ns_ + kModelRampMin_ns)),
       max_speed_m_per_s_(tool.max_speed_m_per_s),
       clutch_mask_(tool.workspace.clutch_button < 0 || tool.workspace.clutch_button > 31
                        ? 0U
@@ -395,8 +394,8 @@ double ToolChannel::ceiling(std::int64_t now_ns) noexcept {
                                          model_stale_after_ns_, model_zero_after_ns_);
   double result = std::min(pose, model);
   if (stage_ == Stage::kFading)
-    result = std::min({result, gain_.phase(),
-                       suture::freshness(now_ns - fade_since_ns_, 0, kFade_ns)});
+    result =
+        std::min({result, gain_.phase(), suture::freshness(now_ns - fade_since_ns_, 0, kFade_ns)});
   return result;
 }
 
@@ -421,9 +420,9 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   const bool engaged = stage_ != Stage::kIdle;
   if (engaged && has_previous_) {
     const bool pose_stale = now_ns - good_ns_ > pose_stale_after_ns_;
-    const bool model_stale =
-        has_model_ && now_ns - models_.front().published_ns > model_stale_after_ns_ &&
-        !paused_.load(std::memory_order_relaxed);
+    const bool model_stale = has_model_ &&
+                             now_ns - models_.front().published_ns > model_stale_after_ns_ &&
+                             !paused_.load(std::memory_order_relaxed);
     note_while(Fault::kPoseStale, pose_stale);
     note_while(Fault::kModelStale, model_stale);
     if (pose_stale) latched_ |= fault_bit(Fault::kPoseStale);
@@ -439,8 +438,11 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   }
   const suture::Wrench felt = scaled(world, gain);
   bool too_strong = false, too_fast = false;
-  const suture::Wrench wanted = suture::limit_magnitude(
-      frame_ == Frame::kDevice ? workspace_.to_device(felt) : felt, limits_, too_strong);
+  // Before the gain, or a force far beyond the limit would stay at it for most of a ramp;
+  // and after it, because the limits stand last.
+  const suture::Wrench hand = suture::limit_magnitude(
+      frame_ == Frame::kDevice ? workspace_.to_device(world) : world, limits_, too_strong);
+  const suture::Wrench wanted = suture::limit_magnitude(scaled(hand, gain), limits_, too_strong);
   last_ = suture::limit_slew(wanted, last_, elapsed_ns, limits_, too_fast);
   note_while(Fault::kForceLimit, too_strong);
   note_while(Fault::kSlewLimit, too_fast);
@@ -452,6 +454,7 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   force.pose_sequence = served_sequence_;
   force.pose_stamp_ns = pose_stamp_ns_;
   force.model_sequence = has_model_ ? models_.front().model.sequence : 0;
+  force.model_age_ns = has_model_ ? now_ns - models_.front().published_ns : -1;
   force.frame = frame_;
   force.state = state();
   force.faults = latched_ | ongoing_;
@@ -476,7 +479,7 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   report.shown_force_n = shown_n;
   report.peak_force_n = peak_force_n_;
   report.mapping = workspace_;
-  report.model_age_ns = has_model_ ? now_ns - models_.front().published_ns : 0;
+  report.model_age_ns = force.model_age_ns;
   reports_.publish();
   return force;
 }

@@ -111,6 +111,7 @@ struct ForceSample {
   std::uint64_t pose_sequence = 0;
   std::int64_t pose_stamp_ns = 0;
   std::uint64_t model_sequence = 0;
+  std::int64_t model_age_ns = -1;  ///< since it was published; negative: there is none
   Frame frame = Frame::kDevice;
   ToolState state = ToolState::kIdle;
   std::uint32_t faults = 0;
@@ -134,7 +135,7 @@ struct ToolReport {
   ToolState state = ToolState::kIdle;
   std::uint32_t faults = 0;
   std::uint64_t writer = 0;
-  suture::Pose pose;      ///< world
+  suture::Pose pose;  ///< world
   double jaw = 0.0;
   suture::Wrench wrench;  ///< world, before scaling
   double gain = 0.0;
@@ -151,7 +152,7 @@ struct ToolReport {
 struct ToolCounters {
   std::array<std::atomic<std::uint64_t>, kFaultCount> faults{};
   std::atomic<std::uint64_t> poses{0};
-  std::atomic<std::uint64_t> poses_lost{0};  ///< gaps in the sequence
+  std::atomic<std::uint64_t> poses_lost{0};     ///< gaps in the sequence
   std::atomic<std::uint64_t> poses_dropped{0};  ///< refused, too many, or out of order
   std::atomic<std::uint64_t> forces{0};
   std::atomic<std::uint64_t> takeovers{0};
@@ -263,10 +264,10 @@ class ToolChannel {
     PoseSample sample;
     std::int64_t arrived_ns = 0;
   };
-  Snapshot<Arrival> pending_;       // receive thread → holder
-  Snapshot<StampedModel> models_;   // simulation → holder
-  Snapshot<ToolTarget> targets_;    // holder → simulation
-  Snapshot<ToolReport> reports_;    // holder → whoever looks
+  Snapshot<Arrival> pending_;      // receive thread → holder
+  Snapshot<StampedModel> models_;  // simulation → holder
+  Snapshot<ToolTarget> targets_;   // holder → simulation
+  Snapshot<ToolReport> reports_;   // holder → whoever looks
 
   // Receive thread only.
   std::uint64_t admitted_writer_ = 0, admitted_sequence_ = 0;
@@ -283,12 +284,12 @@ class ToolChannel {
   std::uint64_t served_sequence_ = 0;
   std::int64_t pose_stamp_ns_ = 0;
   Frame frame_ = Frame::kDevice;
-  suture::Pose pose_;          // world, in force
-  suture::Pose device_pose_;   // last good one, as sent
+  suture::Pose pose_;         // world, in force
+  suture::Pose device_pose_;  // last good one, as sent
   double jaw_ = 0.0;
   bool has_previous_ = false;  // device_pose_ and good_ns_ are of this engagement
   bool clutched_ = false;
-  bool supervised_ = false;    // the last tick was the supervisor's
+  bool supervised_ = false;         // the last tick was the supervisor's
   std::int64_t good_ns_ = 0;        // when the last good pose came
   std::int64_t good_since_ns_ = 0;  // when the run of good poses began
   std::int64_t fade_since_ns_ = 0;
@@ -299,7 +300,7 @@ class ToolChannel {
   std::uint32_t ongoing_ = 0;  // conditions that hold now
   std::uint64_t sequence_ = 0;
   std::uint64_t last_fallbacks_ = 0;
-  suture::Wrench last_;        // at the hand
+  suture::Wrench last_;  // at the hand
   double peak_force_n_ = 0.0;
 };
 

@@ -31,8 +31,7 @@ Workspace::Workspace(const scene::Workspace& scene)
 
 suture::Pose Workspace::to_world(const suture::Pose& device) const noexcept {
   const Quaterniond r = quaternion_of(orientation_xyzw_);
-  const Vector3d p =
-      vector_of(position_m_) + motion_scale_ * (r * vector_of(device.position_m));
+  const Vector3d p = vector_of(position_m_) + motion_scale_ * (r * vector_of(device.position_m));
   const Quaterniond q = r * quaternion_of(device.orientation_xyzw).normalized() *
                         quaternion_of(tool_orientation_xyzw_);
   return {array_of(p), array_of(q)};

@@ -53,6 +53,11 @@ struct ToolResponse {
   CondensedProblem condensed;
   Vec6 slide_twist = Vec6::Zero();  ///< s, unit slide of the needle held; zero if none
   double slide_friction_n = 0.0;    ///< f along s
+  Vec6 slide_gradient = Vec6::Zero();  ///< g = A s / κ of A before the slide's removal: P = I − s gᵀ
+  double slide_stiffness = 0.0;        ///< κ = sᵀ A s of the same; zero: nothing slides
+  /// M = Σ r fᵀ (N·m) over the bilateral forces f on the tool at arms r from its origin;
+  /// with it the haptic model turns torques with the tool. Zero where arms do not matter.
+  Eigen::Matrix3d arm_moment = Eigen::Matrix3d::Zero();
   bool touching = false;            ///< false: the wrench is exactly zero
   bool world_changed = false;       ///< a contact, puncture, grasp or release in this step
 };

@@ -1,0 +1,698 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Every fault of a device, a network and a simulation, on a clock that the test moves.
+#include "haptics/tool_channel.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <memory>
+#include <thread>
+#include <vector>
+
+#include "scene/scene.hpp"
+#include "support/heap_guard.hpp"
+
+namespace sutured::haptics {
+namespace {
+
+constexpr std::int64_t kMs = kMillisecond_ns;
+constexpr std::int64_t kPromise_ns = 50 * kMs;
+constexpr double kWall_n_per_m = 100.0;
+
+double norm(const std::array<double, 3>& v) { return std::hypot(v[0], v[1], v[2]); }
+
+/// A device, a simulation of a spring towards x = 0, and the two force threads, all on
+/// one timeline: poses at each millisecond, a model every fourth, the supervisor half a
+/// millisecond after the poses. Each force is held against the limits as it comes.
+class Rig {
+ public:
+  explicit Rig(const scene::Tool& tool = {}) : tool_(tool), channel_(tool, 4 * kMs) {
+    hand.orientation_xyzw = {0.0, 0.0, 0.0, 1.0};
+    hand.position_m = {-0.005, 0.0, 0.0};
+  }
+
+  // What the world does, until changed.
+  suture::Pose hand;
+  double jaw = 0.0;
+  std::uint32_t buttons = 0;
+  std::uint64_t writer = 7;
+  bool sends = true, steps = true, supervises = true, says_goodbye = false, says_stop = false;
+  std::int64_t pose_period_ms = 1;
+  double wrench_offset_n = 0.0;
+  std::uint64_t epoch = 1;
+  bool world_changed = false;
+  std::function<void(PoseSample&)> spoil;
+
+  void run(std::int64_t milliseconds) {
+    for (std::int64_t i = 0; i < milliseconds; ++i) {
+      now += kMs;
+      if (steps && now / kMs % 4 == 0) step();
+      if (sends && now / kMs % pose_period_ms == 0) send();
+      if (supervises) {
+        if (auto force = channel_.supervise(now + kMs / 2)) take(*force, now + kMs / 2);
+      }
+    }
+  }
+  void step() {
+    const ToolTarget target = channel_.target();
+    suture::HapticModel model;
+    model.epoch = epoch;
+    model.sequence = ++model_sequence_;
+    model.period_ns = 4 * kMs;
+    model.touching = target.present;
+    model.world_changed = world_changed;
+    model.reference = target.pose;
+    model.bilateral_wrench.force_n[0] =
+        -kWall_n_per_m * target.pose.position_m[0] + wrench_offset_n;
+    for (int i = 0; i < 3; ++i) model.bilateral_stiffness[7 * i] = kWall_n_per_m;
+    suture::complete_model(model);
+    channel_.publish_model(model, now, now);
+  }
+  PoseSample sample() {
+    PoseSample pose;
+    pose.writer = writer;
+    pose.sequence = ++sequence_;
+    pose.stamp_ns = now + 12345;
+    pose.pose = hand;
+    pose.jaw = jaw;
+    pose.buttons = buttons;
+    pose.goodbye = says_goodbye;
+    pose.stop = says_stop;
+    return pose;
+  }
+  std::optional<ForceSample> send() {
+    PoseSample pose = sample();
+    if (spoil) spoil(pose);
+    auto force = channel_.on_pose(pose, now);
+    if (force) take(*force, now);
+    return force;
+  }
+  void take(const ForceSample& force, std::int64_t at) {
+    const double elapsed_s = static_cast<double>(at - last_ns_) * 1e-9;
+    const auto& f = force.wrench.force_n;
+    const auto& t = force.wrench.torque_nm;
+    EXPECT_LE(norm(f), tool_.max_force_n * (1 + 1e-12));
+    EXPECT_LE(norm(t), tool_.max_torque_nm * (1 + 1e-12));
+    if (force.writer == last.writer) {
+      std::array<double, 3> df, dt;
+      for (int i = 0; i < 3; ++i) {
+        df[i] = f[i] - last.wrench.force_n[i];
+        dt[i] = t[i] - last.wrench.torque_nm[i];
+      }
+      EXPECT_LE(norm(df), tool_.max_force_slew_n_per_s * elapsed_s + 1e-12) << "at " << at;
+      EXPECT_LE(norm(dt), tool_.max_torque_slew_nm_per_s * elapsed_s + 1e-12) << "at " << at;
+      largest_step_n = std::max(largest_step_n, norm(df));
+      largest_rise_n = std::max(largest_rise_n, norm(f) - norm(last.wrench.force_n));
+    }
+    EXPECT_TRUE(force.sequence == last.sequence + 1 || last.sequence == 0);
+    last = force;
+    last_ns_ = at;
+    if (norm(f) > 0.0 || norm(t) > 0.0) last_felt_ns = at;
+  }
+  double force_n() const { return norm(last.wrench.force_n); }
+  std::uint64_t faults(Fault fault) const { return channel_.counters().of(fault); }
+
+  /// Brings the tool to full force: 0.5 N at 5 mm.
+  void engage() {
+    run(300);
+    ASSERT_EQ(last.state, ToolState::kRendering);
+    ASSERT_NEAR(force_n(), 0.5, 1e-9);
+  }
+  /// The force must have been zero from `since + 50 ms` on; run at least so long before.
+  void expect_zero_since(std::int64_t since) const {
+    EXPECT_LE(last_felt_ns, since + kPromise_ns);
+    EXPECT_EQ(force_n(), 0.0);
+  }
+  /// Without the fault the force comes back to what the model says, by a ramp.
+  void expect_recovery(double force = 0.5) {
+    largest_rise_n = 0.0;
+    run(400);
+    EXPECT_EQ(last.state, ToolState::kRendering);
+    EXPECT_EQ(last.faults, 0U);
+    EXPECT_NEAR(force_n(), force, 1e-9);
+    // A smoothstep of 200 ms rises by at most 1.5 / 200 of the whole a millisecond.
+    EXPECT_LE(largest_rise_n, force * 1.5 / 200 * 1.5 + 1e-9);
+    EXPECT_GE(channel_.counters().recoveries.load(), 1U);
+  }
+
+  ToolChannel& channel() { return channel_; }
+
+  std::int64_t now = 1'000'000 * kMs;
+  ForceSample last;
+  std::int64_t last_felt_ns = 0;
+  double largest_step_n = 0.0, largest_rise_n = 0.0;
+
+ private:
+  scene::Tool tool_;
+  ToolChannel channel_;
+  std::int64_t last_ns_ = 0;
+  std::uint64_t sequence_ = 0, model_sequence_ = 0;
+};
+
+TEST(ToolChannel, StartsFromZeroByARamp) {
+  Rig rig;
+  rig.run(15);
+  EXPECT_EQ(rig.force_n(), 0.0);
+  rig.engage();
+  EXPECT_LE(rig.largest_step_n, 0.5 * 1.5 / 200 * 1.5 + 1e-9);
+}
+
+TEST(ToolChannel, AnswersEachPoseOnceAndInOrder) {
+  Rig rig;
+  rig.engage();
+  for (int i = 0; i < 50; ++i) {
+    rig.now += kMs;
+    const PoseSample pose = rig.sample();
+    const auto force = rig.channel().on_pose(pose, rig.now);
+    ASSERT_TRUE(force);
+    EXPECT_EQ(force->pose_sequence, pose.sequence);
+    EXPECT_EQ(force->pose_stamp_ns, pose.stamp_ns);
+    EXPECT_FALSE(force->from_supervisor);
+    EXPECT_FALSE(rig.channel().supervise(rig.now + kMs / 2));
+  }
+}
+
+TEST(ToolChannel, TakesOverFromADeviceThatIsSlowerThanTheSupervisor) {
+  Rig rig;
+  rig.pose_period_ms = 8;
+  rig.engage();
+  const std::uint64_t forces = rig.channel().counters().forces.load();
+  const std::uint64_t takeovers = rig.channel().counters().takeovers.load();
+  rig.run(80);
+  // Of 8 ms each: one answer, and the supervisor at 3.5, 4.5, … 7.5 ms.
+  EXPECT_EQ(rig.channel().counters().forces.load() - forces, 60U);
+  EXPECT_EQ(rig.channel().counters().takeovers.load() - takeovers, 10U);
+}
+
+struct PoseFault {
+  const char* name;
+  Fault fault;
+  std::function<void(PoseSample&)> spoil;
+};
+
+class BadPose : public ::testing::TestWithParam<PoseFault> {};
+
+TEST_P(BadPose, EndsTheForceSmoothlyAndComesBack) {
+  Rig rig;
+  rig.engage();
+  const std::int64_t last_good_ns = rig.now;
+  rig.spoil = GetParam().spoil;
+  rig.run(100);
+  rig.expect_zero_since(last_good_ns);
+  EXPECT_EQ(rig.last.state, ToolState::kFault);
+  EXPECT_NE(rig.last.faults & fault_bit(GetParam().fault), 0U);
+  EXPECT_GE(rig.faults(GetParam().fault), 1U);
+  rig.spoil = nullptr;
+  rig.expect_recovery();
+}
+
+TEST_P(BadPose, EvenASingleOneIsNotFelt) {
+  Rig rig;
+  rig.engage();
+  rig.spoil = GetParam().spoil;
+  rig.run(1);
+  rig.spoil = nullptr;
+  rig.largest_step_n = 0.0;
+  rig.run(5);
+  // Falling within 30 ms, not at once, and not up.
+  EXPECT_LT(rig.force_n(), 0.5);
+  EXPECT_GT(rig.force_n(), 0.4);
+  EXPECT_LE(rig.largest_step_n, 0.5 * 1.5 / 30 + 1e-9);
+  rig.expect_recovery();
+}
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+INSTANTIATE_TEST_SUITE_P(
+    Faults, BadPose,
+    ::testing::Values(
+        PoseFault{"NotANumber", Fault::kPoseNotFinite,
+                  [](PoseSample& p) { p.pose.position_m[1] = kNan; }},
+        PoseFault{"InfiniteQuaternion", Fault::kPoseNotFinite,
+                  [](PoseSample& p) {
+                    p.pose.orientation_xyzw[2] = std::numeric_limits<double>::infinity();
+                  }},
+        PoseFault{"JawNotANumber", Fault::kPoseNotFinite, [](PoseSample& p) { p.jaw = kNan; }},
+        PoseFault{"WrongQuaternion", Fault::kPoseQuaternion,
+                  [](PoseSample& p) { p.pose.orientation_xyzw[3] = 0.9; }},
+        PoseFault{"ZeroQuaternion", Fault::kPoseQuaternion,
+                  [](PoseSample& p) { p.pose.orientation_xyzw = {}; }},
+        PoseFault{"JawBeyondClosed", Fault::kPoseJaw, [](PoseSample& p) { p.jaw = 1.5; }},
+        // There and back every time: a jump each.
+        PoseFault{"Jumping", Fault::kPoseJump,
+                  [](PoseSample& p) { p.pose.position_m[0] += p.sequence % 2 ? 0.1 : 0.0; }},
+        PoseFault{"Spinning", Fault::kPoseJump,
+                  [](PoseSample& p) {
+                    if (p.sequence % 2) p.pose.orientation_xyzw = {1.0, 0.0, 0.0, 0.0};
+                  }}),
+    [](const auto& fault) { return std::string(fault.param.name); });
+
+TEST(ToolChannel, FollowsAHandThatJumpedToItsNewPlace) {
+  Rig rig;
+  rig.engage();
+  rig.hand.position_m[0] = -0.02;
+  const std::int64_t last_good_ns = rig.now;
+  rig.run(49);
+  EXPECT_EQ(rig.faults(Fault::kPoseJump), 1U);
+  EXPECT_LE(rig.last_felt_ns, last_good_ns + kPromise_ns);
+  rig.expect_recovery(2.0);
+}
+
+TEST(ToolChannel, DoesNotMistakeBunchedPosesForAJump) {
+  Rig rig;
+  rig.engage();
+  // 1 m/s, but five poses arrive together.
+  for (int i = 0; i < 100; ++i) {
+    if (i % 5 == 0) rig.now += 5 * kMs;
+    rig.hand.position_m[0] += (i / 50 % 2 ? 1 : -1) * 1e-3;
+    rig.send();
+  }
+  EXPECT_EQ(rig.faults(Fault::kPoseJump), 0U);
+  EXPECT_EQ(rig.faults(Fault::kPoseRate), 0U);
+}
+
+TEST(ToolChannel, EndsTheForceOfADeviceThatFellSilent) {
+  Rig rig;
+  rig.engage();
+  const std::int64_t last_good_ns = rig.now;
+  rig.sends = false;
+  rig.run(100);
+  rig.expect_zero_since(last_good_ns);
+  EXPECT_EQ(rig.faults(Fault::kPoseStale), 1U);
+  EXPECT_TRUE(rig.last.from_supervisor);
+  EXPECT_TRUE(rig.channel().target().present) << "a short silence does not drop the needle";
+  rig.sends = true;
+  rig.expect_recovery();
+}
+
+TEST(ToolChannel, GivesAPointerToolMoreTime) {
+  scene::Tool mouse;
+  mouse.stale_after_ms = 100;
+  Rig rig(mouse);
+  rig.pose_period_ms = 16;
+  rig.engage();
+  rig.run(16 - rig.now / kMs % 16);
+  const std::int64_t last_good_ns = rig.now;
+  rig.sends = false;
+  rig.run(99);
+  EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
+  rig.run(61);
+  EXPECT_LE(rig.last_felt_ns, last_good_ns + 150 * kMs);
+  EXPECT_EQ(rig.force_n(), 0.0);
+}
+
+TEST(ToolChannel, EndsTheForceOfASimulationThatFellSilent) {
+  Rig rig;
+  rig.engage();
+  const std::int64_t last_model_ns = rig.now / (4 * kMs) * (4 * kMs);
+  rig.steps = false;
+  rig.run(100);
+  rig.expect_zero_since(last_model_ns);
+  EXPECT_EQ(rig.faults(Fault::kModelStale), 1U);
+  EXPECT_FALSE(rig.last.from_supervisor);
+  rig.steps = true;
+  rig.expect_recovery();
+}
+
+TEST(ToolChannel, EndsTheForceInTimeAtEveryModelRateOfAScene) {
+  for (const std::int64_t period_ns : {kMs, 2 * kMs, 4 * kMs, 10 * kMs, 33'333'333 * kMs / kMs}) {
+    const std::int64_t stale = model_stale_after_ns(period_ns);
+    EXPECT_GT(stale, period_ns * 11 / 10);
+    EXPECT_LE(stale + 9 * kMs, 48 * kMs);
+  }
+}
+
+TEST(ToolChannel, SurvivesOneSlowStepWithoutAStep) {
+  Rig rig;
+  rig.engage();
+  rig.steps = false;
+  rig.run(30);  // a puncture that took long: 10 ms into the fading
+  rig.steps = true;
+  rig.largest_step_n = 0.0;
+  EXPECT_GT(rig.force_n(), 0.1);
+  rig.expect_recovery();
+}
+
+TEST(ToolChannel, RefusesAModelThatIsNotFinite) {
+  Rig rig;
+  rig.engage();
+  const std::int64_t last_model_ns = rig.now / (4 * kMs) * (4 * kMs);
+  rig.wrench_offset_n = kNan;
+  rig.run(100);
+  rig.expect_zero_since(last_model_ns);
+  EXPECT_GE(rig.faults(Fault::kModelNotFinite), 20U);
+  rig.wrench_offset_n = 0.0;
+  rig.expect_recovery();
+}
+
+TEST(ToolChannel, LeavesNoStepAtASwapOfModels) {
+  Rig rig;
+  rig.engage();
+  rig.largest_step_n = 0.0;
+  rig.wrench_offset_n = 0.1;  // the next model says 0.6 N where this one says 0.5
+  rig.run(12);
+  EXPECT_NEAR(rig.force_n(), 0.6, 1e-9);
+  // 0.1 N over a blend of 4 ms, sampled each millisecond.
+  EXPECT_LT(rig.largest_step_n, 0.1 * 0.4);
+  rig.world_changed = true;
+  rig.wrench_offset_n = 0.0;
+  rig.largest_step_n = 0.0;
+  rig.run(4);
+  rig.world_changed = false;
+  rig.run(30);
+  EXPECT_LT(rig.largest_step_n, 0.1 * 0.4);
+}
+
+TEST(ToolChannel, FollowsTheHandWithoutLag) {
+  Rig rig;
+  rig.engage();
+  for (int i = 1; i <= 40; ++i) {
+    rig.hand.position_m[0] = -0.005 - i * 1e-5;
+    rig.run(1);
+    EXPECT_NEAR(rig.force_n(), -kWall_n_per_m * rig.hand.position_m[0], 1e-9);
+  }
+}
+
+TEST(ToolChannel, ClampsAForceInMagnitudeAndSaysSo) {
+  Rig rig;
+  rig.engage();
+  rig.wrench_offset_n = 50.0;
+  rig.run(50);
+  EXPECT_NEAR(rig.force_n(), rig.channel().limits().max_force_n, 1e-9);
+  EXPECT_EQ(rig.faults(Fault::kForceLimit), 1U);
+  EXPECT_GE(rig.faults(Fault::kSlewLimit), 1U);
+  EXPECT_NE(rig.last.faults & fault_bit(Fault::kForceLimit), 0U);
+  // At the limit, and ended from there within the promise.
+  const std::int64_t last_good_ns = rig.now;
+  rig.sends = false;
+  rig.run(100);
+  rig.expect_zero_since(last_good_ns);
+}
+
+TEST(ToolChannel, KeepsItsPromiseWithASlowSlewByAllowingLess) {
+  scene::Tool tool;
+  tool.max_force_slew_n_per_s = 40.0;
+  Rig rig(tool);
+  rig.wrench_offset_n = 50.0;
+  rig.run(400);
+  EXPECT_GT(rig.force_n(), 0.5);
+  const std::int64_t last_model_ns = rig.now / (4 * kMs) * (4 * kMs);
+  rig.steps = false;
+  rig.run(100);
+  rig.expect_zero_since(last_model_ns);
+}
+
+TEST(ToolChannel, RefusesASecondWriterAndGoesOnServingTheFirst) {
+  Rig rig;
+  rig.engage();
+  for (int i = 0; i < 20; ++i) {
+    rig.run(1);
+    PoseSample rival = rig.sample();
+    rival.writer = 8;
+    rival.pose.position_m[0] = 0.3;
+    EXPECT_FALSE(rig.channel().on_pose(rival, rig.now + kMs / 4));
+  }
+  EXPECT_EQ(rig.faults(Fault::kToolInUse), 1U);
+  EXPECT_EQ(rig.channel().lease(), 7U);
+  EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
+}
+
+TEST(ToolChannel, PassesTheLeaseOnWhenTheWriterDies) {
+  Rig rig;
+  rig.engage();
+  const std::int64_t last_good_ns = rig.now;
+  rig.sends = false;
+  rig.channel().end_lease(8);  // nobody's
+  EXPECT_EQ(rig.channel().lease(), 7U);
+  rig.channel().end_lease(7);
+  rig.run(60);
+  rig.expect_zero_since(last_good_ns);
+  EXPECT_EQ(rig.last.state, ToolState::kIdle);
+  EXPECT_FALSE(rig.channel().target().present);
+  const std::uint64_t forces = rig.channel().counters().forces.load();
+  rig.run(60);
+  EXPECT_EQ(rig.channel().counters().forces.load(), forces) << "nobody to send to";
+  rig.writer = 8;
+  rig.sends = true;
+  rig.largest_step_n = 0.0;
+  rig.run(300);
+  EXPECT_EQ(rig.last.writer, 8U);
+  EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
+}
+
+TEST(ToolChannel, StartsAtZeroForAnotherHandThatFollowsAtOnce) {
+  Rig rig;
+  rig.engage();
+  rig.channel().end_lease(7);
+  rig.writer = 8;
+  rig.run(1);
+  EXPECT_EQ(rig.last.writer, 8U);
+  EXPECT_EQ(rig.force_n(), 0.0);
+}
+
+TEST(ToolChannel, EndsTheLeaseOfASilentWriter) {
+  Rig rig;
+  rig.engage();
+  rig.sends = false;
+  rig.run(1900);
+  EXPECT_EQ(rig.channel().lease(), 7U);
+  rig.run(200);
+  EXPECT_EQ(rig.channel().lease(), 0U);
+  EXPECT_FALSE(rig.channel().target().present);
+}
+
+TEST(ToolChannel, LetsGoOnGoodbye) {
+  Rig rig;
+  rig.engage();
+  const std::int64_t last_good_ns = rig.now;
+  rig.says_goodbye = true;
+  rig.run(1);
+  rig.sends = false;
+  rig.run(60);
+  rig.expect_zero_since(last_good_ns);
+  EXPECT_EQ(rig.channel().lease(), 0U);
+}
+
+TEST(ToolChannel, DropsAndCountsPosesBeyondFourKilohertz) {
+  Rig rig;
+  rig.engage();
+  const std::uint64_t dropped = rig.channel().counters().poses_dropped.load();
+  int answered = 0;
+  constexpr std::int64_t kEighthMs = kMs / 8;
+  for (int i = 0; i < 800; ++i) {
+    rig.now += kEighthMs;
+    if (i % 32 == 0) rig.step();
+    answered += rig.send().has_value();
+  }
+  EXPECT_NEAR(answered, 400, 12);
+  EXPECT_EQ(rig.channel().counters().poses_dropped.load() - dropped,
+            static_cast<std::uint64_t>(800 - answered));
+  EXPECT_GT(rig.faults(Fault::kPoseRate), 0U);
+}
+
+TEST(ToolChannel, DropsPosesThatComeTwiceOrLate) {
+  Rig rig;
+  rig.engage();
+  rig.now += kMs;
+  const PoseSample pose = rig.sample();
+  const PoseSample next = rig.sample();
+  EXPECT_TRUE(rig.channel().on_pose(next, rig.now));
+  EXPECT_FALSE(rig.channel().on_pose(next, rig.now));
+  EXPECT_FALSE(rig.channel().on_pose(pose, rig.now));
+  EXPECT_EQ(rig.faults(Fault::kPoseOrder), 2U);
+}
+
+TEST(ToolChannel, StopsForTheCommandUntilToldOtherwise) {
+  Rig rig;
+  rig.engage();
+  const std::int64_t since = rig.now;
+  rig.channel().set_stopped(true);
+  rig.run(100);
+  rig.expect_zero_since(since);
+  EXPECT_EQ(rig.last.state, ToolState::kStopped);
+  rig.run(500);
+  EXPECT_EQ(rig.force_n(), 0.0);
+  rig.channel().set_stopped(false);
+  rig.run(400);
+  EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
+}
+
+TEST(ToolChannel, StopsForTheButtonAtTheDevice) {
+  Rig rig;
+  rig.engage();
+  rig.says_stop = true;
+  rig.run(1);
+  rig.says_stop = false;
+  rig.run(100);
+  EXPECT_EQ(rig.force_n(), 0.0);
+  EXPECT_EQ(rig.last.state, ToolState::kStopped);
+}
+
+TEST(ToolChannel, IsSilentWhileTheSimulationIsPaused) {
+  Rig rig;
+  rig.engage();
+  const std::int64_t since = rig.now;
+  rig.channel().set_paused(true);
+  rig.steps = false;
+  rig.run(100);
+  rig.expect_zero_since(since);
+  EXPECT_EQ(rig.last.state, ToolState::kPaused);
+  EXPECT_EQ(rig.faults(Fault::kModelStale), 0U) << "a pause is no fault";
+  rig.channel().set_paused(false);
+  rig.steps = true;
+  rig.run(400);
+  EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
+}
+
+TEST(ToolChannel, StartsAgainFromZeroAfterAReset) {
+  Rig rig;
+  rig.engage();
+  ++rig.epoch;
+  rig.wrench_offset_n = 1.0;
+  rig.largest_step_n = 0.0;
+  rig.run(60);
+  EXPECT_LE(rig.force_n(), 0.1);
+  rig.run(300);
+  EXPECT_NEAR(rig.force_n(), 1.5, 1e-9);
+}
+
+TEST(ToolChannel, EngagesTheClutchWithAnOffsetAndFromZero) {
+  scene::Tool tool;
+  tool.workspace.clutch_button = 2;
+  Rig rig(tool);
+  rig.engage();
+  rig.buttons = 1U << 2;
+  rig.run(60);
+  EXPECT_EQ(rig.force_n(), 0.0);
+  EXPECT_EQ(rig.last.state, ToolState::kClutched);
+  for (int i = 0; i < 100; ++i) {  // the hand moves back, the tool stays
+    rig.hand.position_m[0] += 1e-3;
+    rig.run(1);
+  }
+  EXPECT_NEAR(rig.channel().target().pose.position_m[0], -0.005, 1e-12);
+  rig.buttons = 0;
+  rig.largest_step_n = 0.0;
+  rig.run(1);
+  EXPECT_NEAR(rig.channel().target().pose.position_m[0], -0.005, 1e-12);
+  EXPECT_EQ(rig.force_n(), 0.0);
+  rig.run(400);
+  EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
+  EXPECT_LE(rig.largest_step_n, 0.5 * 1.5 / 200 * 1.5 + 1e-9);
+}
+
+TEST(ToolChannel, ShowsTheForceInTheDevicesFrameAndScale) {
+  scene::Tool tool;
+  tool.workspace.pose.orientation = Eigen::AngleAxisd(M_PI / 2, Eigen::Vector3d::UnitZ());
+  tool.workspace.force_scale = 3.0;
+  Rig rig(tool);
+  rig.hand.position_m = {0.0, 0.005, 0.0};  // world: x = −5 mm
+  rig.run(300);
+  EXPECT_NEAR(rig.last.wrench.force_n[1], -1.5, 1e-9);
+  EXPECT_NEAR(rig.channel().report().wrench.force_n[0], 0.5, 1e-9);
+  // Poses in the world are neither mapped nor scaled.
+  rig.spoil = [](PoseSample& p) { p.frame = Frame::kWorld, p.pose.position_m = {-0.004, 0, 0}; };
+  rig.writer = 9;
+  rig.channel().end_lease(7);
+  rig.run(300);
+  EXPECT_NEAR(rig.last.wrench.force_n[0], 0.4, 1e-9);
+}
+
+TEST(ToolChannel, IsSafeWhenItsOwnThreadsStall) {
+  Rig rig;
+  rig.engage();
+  rig.now += 500 * kMs;  // nobody ran
+  const std::int64_t woke_ns = rig.now;
+  rig.run(100);
+  // What was missed counts as missed: zero at once, within the slew, then a ramp.
+  EXPECT_GE(rig.faults(Fault::kModelStale) + rig.faults(Fault::kPoseStale), 1U);
+  EXPECT_LE(rig.last_felt_ns, woke_ns + 100 * kMs);
+  rig.expect_recovery();
+}
+
+TEST(ToolChannel, AllocatesNothing) {
+  if (!testing::HeapGuard::active()) GTEST_SKIP() << "a sanitizer owns malloc here";
+  Rig rig;
+  rig.engage();
+  const testing::HeapGuard guard;
+  for (int i = 0; i < 200; ++i) {
+    rig.now += kMs;
+    PoseSample pose = rig.sample();
+    if (i % 50 == 0) pose.pose.position_m[0] = kNan;
+    if (i < 120) (void)rig.channel().on_pose(pose, rig.now);
+    (void)rig.channel().supervise(rig.now + kMs / 2);
+    if (i % 4 == 0) rig.step();
+    (void)rig.channel().report();
+  }
+  EXPECT_EQ(guard.allocations(), 0U);
+}
+
+// Four threads at once, as in the server; the thread sanitizer watches. Every pose is
+// answered at most once and in order, whoever answers.
+TEST(ToolChannel, AnswersInOrderFromTwoThreads) {
+  constexpr std::uint64_t kPoses = 20'000;
+  scene::Tool tool;
+  ToolChannel channel(tool, 4 * kMs);
+  std::atomic<std::int64_t> clock{1'000'000 * kMs};
+  std::atomic<bool> done{false};
+  std::vector<std::uint64_t> by_receive, by_supervisor;
+  by_receive.reserve(kPoses);
+  by_supervisor.reserve(kPoses);
+  std::uint64_t sequence_errors = 0;
+
+  std::thread supervisor([&] {
+    while (!done.load()) {
+      const auto force = channel.supervise(clock.load() + 2 * kMs);
+      if (force && !force->from_supervisor) by_supervisor.push_back(force->pose_sequence);
+    }
+  });
+  std::thread simulation([&] {
+    suture::HapticModel model;
+    model.epoch = 1;
+    model.touching = true;
+    for (int i = 0; i < 3; ++i) model.bilateral_stiffness[7 * i] = kWall_n_per_m;
+    while (!done.load()) {
+      ++model.sequence;
+      model.reference = channel.target().pose;
+      channel.publish_model(model, clock.load(), clock.load());
+      if (channel.report().gain > 1.0) ++sequence_errors;
+    }
+  });
+  PoseSample pose;
+  pose.writer = 1;
+  for (std::uint64_t i = 1; i <= kPoses; ++i) {
+    pose.sequence = i;
+    // Every other pose is late, so that the supervisor takes over now and then.
+    const std::int64_t now = clock.fetch_add(i % 2 ? kMs : 5 * kMs) + (i % 2 ? kMs : 5 * kMs);
+    if (const auto force = channel.on_pose(pose, now)) by_receive.push_back(force->pose_sequence);
+  }
+  done = true;
+  supervisor.join();
+  simulation.join();
+  const auto rest = channel.supervise(clock.load());
+  if (rest && !rest->from_supervisor) by_supervisor.push_back(rest->pose_sequence);
+
+  std::vector<int> answers(kPoses + 1, 0);
+  for (const auto* list : {&by_receive, &by_supervisor}) {
+    for (std::size_t i = 0; i < list->size(); ++i) {
+      ++answers[(*list)[i]];
+      if (i > 0) {
+        ASSERT_GT((*list)[i], (*list)[i - 1]);
+      }
+    }
+  }
+  std::uint64_t answered = 0;
+  for (std::uint64_t i = 1; i <= kPoses; ++i) {
+    ASSERT_LE(answers[i], 1) << "pose " << i;
+    answered += answers[i];
+  }
+  EXPECT_EQ(sequence_errors, 0U);
+  // Poses that follow each other within a tick of the other thread replace each other
+  // (they come far faster here than 4 kHz), but the last one is never forgotten.
+  EXPECT_EQ(answers[kPoses], 1);
+  EXPECT_GT(answered, kPoses / 20);
+}
+
+}  // namespace
+}  // namespace sutured::haptics
