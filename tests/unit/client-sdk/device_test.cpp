@@ -1,0 +1,278 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The SDK's device against the server's end of the protocol, over real DDS.
+#include "suture/device.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <thread>
+
+#include "support/spring_server.hpp"
+#include "support/test_session.hpp"
+
+namespace suture {
+namespace {
+
+using std::chrono::milliseconds;
+using sutured::testing::eventually;
+using sutured::testing::own_session;
+using sutured::testing::SpringServer;
+using ::testing::HasSubstr;
+
+DeviceOptions device_options() {
+  DeviceOptions options;
+  options.domain = own_session().domain;
+  options.session = own_session().session;
+  options.tool = "driver";
+  options.timeout = milliseconds(10'000);
+  return options;
+}
+
+SpringServer::Options server_options() {
+  SpringServer::Options options;
+  options.session = own_session();
+  return options;
+}
+
+Error error_of(const DeviceOptions& options) {
+  try {
+    const Device device(options);
+  } catch (const Error& error) {
+    return error;
+  }
+  ADD_FAILURE() << "no error";
+  return {ErrorCode::kBadInput, "", ""};
+}
+
+TEST(Device, FeelsTheForceThatAnswersItsHand) {
+  SpringServer server(server_options());
+  Device device(device_options());
+  Hand hand;
+  hand.position_m = {0.01, 0.0, -0.02};
+  const std::uint64_t sequence = device.write(hand);
+  EXPECT_EQ(sequence, 1U);
+  const std::optional<Force> force = device.read_after(sequence, std::chrono::seconds(10));
+  ASSERT_TRUE(force);
+  EXPECT_EQ(force->hand_sequence, 1U);
+  EXPECT_DOUBLE_EQ(force->force_n[0], -1.0);
+  EXPECT_DOUBLE_EQ(force->force_n[2], 2.0);
+  EXPECT_EQ(force->state, ForceState::kRendering);
+  EXPECT_GT(force->round_trip_ns, 0);
+}
+
+TEST(Device, SendsAllOfTheHand) {
+  SpringServer server(server_options());
+  Device device(device_options());
+  Hand hand;
+  hand.position_m = {1.0, 2.0, 3.0};
+  hand.orientation_xyzw = {0.5, 0.5, 0.5, 0.5};
+  hand.jaw = 0.25;
+  hand.buttons = 5;
+  hand.in_world = true;
+  hand.stop = true;
+  hand.linear_velocity_m_per_s = {0.1, 0.2, 0.3};
+  ASSERT_TRUE(device.read_after(device.write(hand), std::chrono::seconds(10)));
+  const v1::ToolPose pose = server.last_pose();
+  EXPECT_EQ(pose.tool_id, tool_id("driver"));
+  EXPECT_EQ(pose.position_m[2], 3.0);
+  EXPECT_EQ(pose.orientation_xyzw[0], 0.5);
+  EXPECT_EQ(pose.jaw, 0.25F);
+  EXPECT_EQ(pose.buttons, 5U);
+  EXPECT_EQ(pose.flags, std::uint32_t{suture_v1_POSE_IN_WORLD | suture_v1_POSE_STOP});
+  EXPECT_EQ(pose.linear_velocity_m_per_s[1], 0.2F);
+  EXPECT_TRUE(std::isnan(pose.angular_velocity_rad_per_s[0]));
+  EXPECT_EQ(pose.epoch, 1U);
+}
+
+TEST(Device, RunsTheCallbackUntilItReturnsNothing) {
+  SpringServer server(server_options());
+  Device device(device_options());
+  int ticks = 0;
+  std::chrono::nanoseconds total{};
+  device.run([&](const Force&, std::chrono::nanoseconds elapsed) -> std::optional<Hand> {
+    total += elapsed;
+    if (++ticks > 50) return std::nullopt;
+    return Hand{};
+  });
+  EXPECT_EQ(ticks, 51);
+  EXPECT_GE(total, milliseconds(50));  // an absolute clock is never early
+  EXPECT_EQ(device.statistics().hands_written, 50U);
+}
+
+TEST(Device, StopsFromAnotherThread) {
+  SpringServer server(server_options());
+  Device device(device_options());
+  std::atomic<bool> running{false};
+  std::thread other([&] {
+    EXPECT_TRUE(eventually([&] { return running.load(); }));
+    device.stop();
+  });
+  device.run([&](const Force&, std::chrono::nanoseconds) {
+    running = true;
+    return std::optional(Hand{});
+  });
+  other.join();
+}
+
+TEST(Device, CountsWhatItExchanged) {
+  SpringServer server(server_options());
+  std::atomic<int> heard{0};
+  DeviceOptions options = device_options();
+  options.on_force = [&](const Force&) { ++heard; };
+  Device device(options);
+  for (int i = 0; i < 100; ++i) {
+    Hand hand;
+    hand.position_m = {1e-4 * i, 0.0, 0.0};
+    ASSERT_TRUE(device.read_after(device.write(hand), std::chrono::seconds(10)));
+  }
+  const DeviceStatistics counts = device.statistics();
+  EXPECT_EQ(counts.hands_written, 100U);
+  EXPECT_EQ(counts.forces_received, 100U);
+  EXPECT_EQ(counts.hands_unanswered, 0U);
+  EXPECT_EQ(counts.out_of_order, 0U);
+  EXPECT_EQ(heard, 100);
+  EXPECT_NEAR(counts.peak_force_n, 0.99, 1e-12);
+  EXPECT_LE(counts.round_trip_p50_ns, counts.round_trip_p99_ns);
+  EXPECT_LE(counts.round_trip_p99_ns, counts.round_trip_max_ns);
+}
+
+TEST(Device, TakesTheForceToZeroWhenTheServerFallsSilent) {
+  SpringServer server(server_options());
+  Device device(device_options());
+  Hand hand;
+  hand.position_m = {0.01, 0.0, 0.0};
+  ASSERT_TRUE(device.read_after(device.write(hand), std::chrono::seconds(10)));
+  server.set_silent(true);
+  EXPECT_TRUE(eventually([&] {
+    const Force force = device.read();
+    return force.force_n[0] == 0.0 && force.state == ForceState::kServerSilent;
+  }));
+}
+
+TEST(Device, EndsItsRunWhenTheServerStaysSilent) {
+  SpringServer server(server_options());
+  DeviceOptions options = device_options();
+  options.give_up_after = milliseconds(100);
+  Device device(options);
+  server.set_silent(true);
+  try {
+    device.run([](const Force&, std::chrono::nanoseconds) { return std::optional(Hand{}); });
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::kNoServer);
+  }
+}
+
+TEST(Device, PassesNoNonsenseToTheHand) {
+  SpringServer server(server_options());
+  Device device(device_options());
+  server.set_nonsense(true);
+  const std::optional<Force> force = device.read_after(device.write({}), std::chrono::seconds(10));
+  ASSERT_TRUE(force);
+  EXPECT_EQ(force->force_n, Vector3{});
+  EXPECT_EQ(force->state, ForceState::kFault);
+}
+
+TEST(Device, FeelsNothingOfForcesForAnother) {
+  SpringServer server(server_options());
+  Device device(device_options());
+  Guid other{};
+  other.fill(7);
+  server.set_holder(other);
+  Hand hand;
+  hand.position_m = {0.01, 0.0, 0.0};
+  EXPECT_TRUE(eventually([&] {
+    device.write(hand);
+    EXPECT_EQ(device.read().force_n, Vector3{});
+    return device.tool_in_use();
+  }));
+  try {
+    device.run([&](const Force&, std::chrono::nanoseconds) { return std::optional(hand); });
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ErrorCode::kToolInUse);
+  }
+}
+
+TEST(Device, SaysGoodbye) {
+  SpringServer server(server_options());
+  {
+    Device device(device_options());
+    ASSERT_TRUE(device.read_after(device.write({}), std::chrono::seconds(10)));
+  }
+  EXPECT_TRUE(eventually([&] { return server.matched_devices() == 0; }));
+  EXPECT_EQ(server.goodbyes(), 1);
+}
+
+TEST(Connecting, NamesTheMissingServer) {
+  DeviceOptions options = device_options();
+  options.timeout = milliseconds(50);
+  const Error error = error_of(options);
+  EXPECT_EQ(error.code(), ErrorCode::kNoServer);
+  EXPECT_THAT(error.cause(), HasSubstr("domain " + std::to_string(options.domain)));
+  EXPECT_THAT(error.mend(), HasSubstr("sutured serve"));
+}
+
+TEST(Connecting, NamesTheSessionInWhichAServerDoesAnswer) {
+  SpringServer server(server_options());
+  {  // once it is found in its session, it will be seen from another
+    const Device device(device_options());
+  }
+  DeviceOptions options = device_options();
+  options.session = "elsewhere";
+  options.timeout = milliseconds(500);
+  const Error error = error_of(options);
+  EXPECT_EQ(error.code(), ErrorCode::kNoServer);
+  EXPECT_THAT(error.cause(), HasSubstr(own_session().session));
+}
+
+TEST(Connecting, NamesAnotherProtocolVersion) {
+  SpringServer::Options newer = server_options();
+  newer.protocol_version = 2;
+  SpringServer server(newer);
+  const Error error = error_of(device_options());
+  EXPECT_EQ(error.code(), ErrorCode::kVersionMismatch);
+  EXPECT_THAT(error.cause(), HasSubstr("protocol version 2"));
+  EXPECT_EQ(error.mend(), "update this client");
+}
+
+TEST(Connecting, NamesAnUnknownToolAndTheKnownOnes) {
+  SpringServer::Options options = server_options();
+  options.tools = {"left", "right"};
+  SpringServer server(options);
+  const Error error = error_of(device_options());
+  EXPECT_EQ(error.code(), ErrorCode::kUnknownTool);
+  EXPECT_THAT(error.mend(), HasSubstr("left, right"));
+}
+
+TEST(Connecting, NamesAToolInUse) {
+  SpringServer server(server_options());
+  Guid other{};
+  other.fill(7);
+  server.publish_status(other);
+  DeviceOptions options = device_options();
+  options.timeout = milliseconds(500);
+  EXPECT_EQ(error_of(options).code(), ErrorCode::kToolInUse);
+}
+
+TEST(Connecting, WaitsForADeviceThatHasJustLeft) {
+  SpringServer server(server_options());
+  Guid other{};
+  other.fill(7);
+  server.publish_status(other);
+  std::thread leaving([&] { server.publish_status(); });
+  const Device device(device_options());
+  leaving.join();
+  EXPECT_EQ(device.scene(), "spring");
+  EXPECT_EQ(device.max_force_n(), 3.3);
+}
+
+TEST(Connecting, RefusesAnOddDomain) {
+  DeviceOptions options = device_options();
+  options.domain = 1;
+  EXPECT_EQ(error_of(options).code(), ErrorCode::kBadInput);
+}
+
+}  // namespace
+}  // namespace suture

@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "force_guard.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+namespace suture {
+namespace {
+
+constexpr std::int64_t kMs = 1'000'000;
+constexpr std::int64_t kSilentAfter = 15 * kMs;
+
+Force force_of(double newtons) {
+  Force force;
+  force.force_n = {newtons, 0.0, 0.0};
+  force.torque_nm = {0.0, 0.1 * newtons, 0.0};
+  force.state = ForceState::kRendering;
+  force.sequence = 1;
+  return force;
+}
+
+TEST(ForceGuard, ShowsFreshForcesUnchanged) {
+  ForceGuard guard(kSilentAfter);
+  for (std::int64_t t = 1; t <= 100; ++t) {
+    const Force shown = guard.show(force_of(2.0), t * kMs, t * kMs);
+    ASSERT_EQ(shown.force_n[0], 2.0);
+    ASSERT_EQ(shown.state, ForceState::kRendering);
+  }
+}
+
+TEST(ForceGuard, ShowsNothingBeforeTheFirstForce) {
+  ForceGuard guard(kSilentAfter);
+  const Force shown = guard.show(force_of(2.0), 0, 5 * kMs);
+  EXPECT_EQ(shown.force_n[0], 0.0);
+  EXPECT_EQ(shown.state, ForceState::kIdle);
+}
+
+TEST(ForceGuard, IsAtZeroWithin50MsOfTheLastForceAndNeverSteps) {
+  ForceGuard guard(kSilentAfter);
+  double last = 2.0;
+  for (std::int64_t age = 0; age <= 60; ++age) {
+    const Force shown = guard.show(force_of(2.0), 1000 * kMs, (1000 + age) * kMs);
+    EXPECT_LE(std::abs(shown.force_n[0] - last), 2.0 / 30.0 + 1e-12) << age;  // 30 ms of fade
+    EXPECT_NEAR(shown.torque_nm[1], 0.1 * shown.force_n[0], 1e-12);
+    last = shown.force_n[0];
+    if (age > 15) {
+      EXPECT_EQ(shown.state, ForceState::kServerSilent);
+    }
+    if (age >= 45) {
+      EXPECT_EQ(shown.force_n[0], 0.0);
+    }
+  }
+}
+
+TEST(ForceGuard, ComesBackByARamp) {
+  ForceGuard guard(kSilentAfter);
+  static_cast<void>(guard.show(force_of(2.0), 1 * kMs, 1 * kMs));
+  static_cast<void>(guard.show(force_of(2.0), 1 * kMs, 200 * kMs));  // silent
+  double last = 0.0;
+  for (std::int64_t t = 201; t <= 260; ++t) {
+    const Force shown = guard.show(force_of(2.0), t * kMs, t * kMs);
+    EXPECT_LE(shown.force_n[0] - last, 2.0 / 50.0 + 1e-12);
+    EXPECT_GE(shown.force_n[0], last);
+    last = shown.force_n[0];
+  }
+  EXPECT_EQ(last, 2.0);
+}
+
+TEST(ForceGuard, LetsNothingThroughThatIsNotFinite) {
+  for (const double bad :
+       {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
+    ForceGuard guard(kSilentAfter);
+    static_cast<void>(guard.show(force_of(1.0), 1 * kMs, 1 * kMs));
+    Force shown = guard.show(force_of(bad), 2 * kMs, 2 * kMs);
+    EXPECT_EQ(shown.force_n, Vector3{});
+    EXPECT_EQ(shown.torque_nm, Vector3{});
+    EXPECT_EQ(shown.state, ForceState::kFault);
+    shown = guard.show(force_of(1.0), 3 * kMs, 3 * kMs);
+    EXPECT_LE(shown.force_n[0], 1.0 / 50.0 + 1e-12);  // and back by the ramp
+  }
+}
+
+}  // namespace
+}  // namespace suture
