@@ -1,20 +1,16 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "geometry/mesh_file_guard.hpp"
 
-#include <fcntl.h>
-#include <sys/stat.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <filesystem>
 #include <limits>
 #include <string_view>
-#include <system_error>
 #include <utility>
 
 #include "geometry/mesh_file_cursor.hpp"
+#include "geometry/regular_file.hpp"
 
 namespace sutured::geometry {
 
@@ -514,22 +510,6 @@ class Guard {
   bool seen_names_ = false, seen_entities_ = false, seen_nodes_ = false, seen_elements_ = false;
 };
 
-class FileDescriptor {
- public:
-  explicit FileDescriptor(int fd) : fd_(fd) {}
-  ~FileDescriptor() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  FileDescriptor(const FileDescriptor&) = delete;
-  FileDescriptor& operator=(const FileDescriptor&) = delete;
-  [[nodiscard]] int get() const { return fd_; }
-
- private:
-  int fd_;
-};
-
-std::string system_message() { return std::generic_category().message(errno); }
-
 }  // namespace
 
 CheckedMeshFile check_mesh_bytes(const std::string& path, std::string bytes) {
@@ -555,24 +535,12 @@ CheckedMeshFile check_mesh_bytes(const std::string& path, std::string bytes) {
 }
 
 CheckedMeshFile check_mesh_file(const std::string& path) {
-  // Not blocking: opening a pipe would wait for its writer.
-  const FileDescriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK | O_NOCTTY));
-  struct stat status {};
-  if (file.get() < 0 || ::fstat(file.get(), &status) != 0)
-    fail(path, "cannot be opened: " + system_message(), "check the path and its permissions");
-  if (!S_ISREG(status.st_mode)) fail(path, "is not a regular file", "name a mesh file");
-  if (static_cast<std::uint64_t>(status.st_size) > kMeshFileBytesMax)
-    fail(path, "is larger than 1 GiB", "use a coarser mesh or a binary file");
-  std::string bytes(static_cast<std::size_t>(status.st_size), '\0');
-  std::size_t filled = 0;
-  while (filled < bytes.size()) {
-    const ssize_t got = ::read(file.get(), bytes.data() + filled, bytes.size() - filled);
-    if (got < 0 && errno == EINTR) continue;
-    if (got < 0) fail(path, "cannot be read: " + system_message(), "check the disk");
-    if (got == 0) break;
-    filled += static_cast<std::size_t>(got);
+  std::string bytes;
+  try {
+    bytes = read_regular_file(path, kMeshFileBytesMax);
+  } catch (const FileError& error) {
+    fail(path, error.what(), "name a mesh file that can be read");
   }
-  bytes.resize(filled);
   return check_mesh_bytes(path, std::move(bytes));
 }
 

@@ -87,7 +87,17 @@ struct RawMesh {
   std::unordered_map<std::uint64_t, Vec3> nodes;
   std::vector<RawTet> tets;
   std::vector<RawGroup> groups;
+  std::size_t orphans = 0;  // nodes without a tet
 };
+
+// The nodes of `tets`, sorted, unique.
+std::vector<std::uint64_t> used_nodes(const std::vector<RawTet>& tets) {
+  std::vector<std::uint64_t> used;
+  for (const RawTet& tet : tets) used.insert(used.end(), tet.nodes.begin(), tet.nodes.end());
+  std::sort(used.begin(), used.end());
+  used.erase(std::unique(used.begin(), used.end()), used.end());
+  return used;
+}
 
 constexpr int kTriangleType = 2;
 constexpr int kTetType = 4;
@@ -154,6 +164,7 @@ RawMesh read_with_gmsh(const std::string& path, const CheckedMeshFile& file) {
     throw MeshError(path,
                     {{0, "", std::string("libgmsh cannot read it: ") + error.what(), kMendExport}});
   }
+  raw.orphans = file.node_tags.size() - used_nodes(raw.tets).size();
   // The order of the file is kept where libgmsh keeps none: by element number.
   std::sort(raw.tets.begin(), raw.tets.end(),
             [](const RawTet& a, const RawTet& b) { return a.tag < b.tag; });
@@ -222,10 +233,7 @@ class MeshBuilder {
 
   // Vertices stand in the order of the file's nodes.
   void number_vertices(double scale) {
-    std::vector<std::uint64_t> used;
-    for (const RawTet& tet : raw_.tets) used.insert(used.end(), tet.nodes.begin(), tet.nodes.end());
-    std::sort(used.begin(), used.end());
-    used.erase(std::unique(used.begin(), used.end()), used.end());
+    const std::vector<std::uint64_t> used = used_nodes(raw_.tets);
     for (std::size_t i = 0; i < file_.node_tags.size(); ++i) {
       const std::uint64_t tag = file_.node_tags[i];
       if (!std::binary_search(used.begin(), used.end(), tag)) continue;
@@ -236,8 +244,7 @@ class MeshBuilder {
       mesh().vertices_m.emplace_back(scale * node->second);
       mesh().file_index.push_back(static_cast<std::int32_t>(i));
     }
-    const std::size_t orphans = file_.node_tags.size() - mesh().vertices_m.size();
-    if (orphans > 0)
+    if (const std::size_t orphans = raw_.orphans; orphans > 0)
       reading_.notes.push_back(plural(orphans,
                                       "node belongs to no tet that was read and was dropped",
                                       "nodes belong to no tet that was read and were dropped"));

@@ -30,7 +30,8 @@ struct Region {
 };
 
 /// A displacement imposed on vertices of the tissue, zero for fixed ones.
-/// Axes are of the world; a free axis carries the load instead.
+/// Axes are of the world; a free axis carries the load instead. A vertex may stand in several;
+/// no two of them disagree about an axis.
 struct Prescribed {
   std::vector<std::int32_t> vertices;  ///< of the tissue's mesh
   std::array<bool, 3> axes{true, true, true};
@@ -46,13 +47,15 @@ struct NodalLoad {
 struct Tissue {
   std::string name;
   std::string mesh_path;
+  std::string mesh_format;  ///< "MSH 2.2, text"
+  double scale = 1.0;       ///< metres per unit of the file; `mesh` is in metres
   geometry::TetMesh mesh;
   double young_modulus_pa = 0.0;
   double poisson_ratio = 0.0;
   double density_kg_per_m3 = 1000.0;  ///< matters under gravity only
   double puncture_force_n = 0.05;
-  double friction_n_s_per_m2 = 20.0;       ///< viscous, per metre of embedded needle
-  double static_friction_n_per_m = 2.0;    ///< holds a needle that nobody holds
+  double friction_n_s_per_m2 = 20.0;          ///< viscous, per metre of embedded needle
+  double static_friction_n_per_m = 2.0;       ///< holds a needle that nobody holds
   double surface_friction_coefficient = 0.5;  ///< of the tip's friction cone
   std::vector<Region> regions;
   std::vector<Prescribed> prescribed;
@@ -67,7 +70,7 @@ struct Needle {
   NeedleShape shape = NeedleShape::kArc;
   double radius_m = 0.008;  ///< of the arc
   double arc_deg = 180.0;
-  double length_m = 0.025;  ///< of a straight needle; an arc's follows
+  double length_m = 0.025;  ///< along the needle's axis; of an arc: radius times angle
   double diameter_m = 0.0006;
   Pose pose;
   SlideRule slide = SlideRule::kEnergyConsistent;
@@ -101,6 +104,35 @@ struct Tool {
   Workspace workspace;
 };
 
+/// Where a thread passes a tissue's surface: a material point of a boundary face.
+struct Bite {
+  int tissue = -1;                          ///< index into Scene::tissues
+  geometry::Triangle vertices{-1, -1, -1};  ///< of the tissue's mesh, wound outward
+  Vec3 barycentric = Vec3::Zero();          ///< of `vertices`; none negative, sum 1
+};
+
+enum class ThreadTail { kAnchored, kFree };  ///< knotted at the first puncture, or nowhere
+enum class ThreadEnds { kHeld, kNone };      ///< ruled by needle and tail, or by nobody
+
+struct TimedLength {
+  double time_s = 0.0;
+  double length_m = 0.0;
+};
+
+struct Thread {
+  std::string name;
+  std::string needle;  ///< the one it is swaged to; empty where `ends` is kNone
+  double length_m = 0.45;
+  ThreadTail tail = ThreadTail::kAnchored;
+  ThreadEnds ends = ThreadEnds::kHeld;
+  std::vector<Bite> punctures;
+  std::vector<TimedLength> length_program;  ///< ascending times; empty for none
+};
+
+struct Contact {
+  bool enabled = true;
+};
+
 struct Scene {
   std::string name;
   std::string path;
@@ -108,7 +140,10 @@ struct Scene {
   Vec3 gravity_m_per_s2 = Vec3::Zero();
   std::vector<Tissue> tissues;
   std::vector<Needle> needles;
+  std::vector<Thread> threads;
   std::vector<Tool> tools;
+  Contact contact;
+  std::vector<std::string> notes;  ///< what a reader of the scene should know, a sentence each
 };
 
 }  // namespace sutured::scene
