@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "constraints/compliance.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "fem/simd_kernel.hpp"
+
+namespace sutured::constraints {
+namespace {
+
+/// t += c0 g0 + c1 g1 + c2 g2, the three rows of one vertex.
+SUTURED_KERNEL void add_three_rows(const double* g, std::int64_t stride, const double* c,
+                                   std::int64_t count, double* t) {
+  const double *g0 = g, *g1 = g + stride, *g2 = g + 2 * stride;
+#pragma omp simd
+  for (std::int64_t i = 0; i < count; ++i) t[i] += c[0] * g0[i] + c[1] * g1[i] + c[2] * g2[i];
+}
+
+}  // namespace
+
+Compliance::Compliance(std::shared_ptr<const fem::CholeskyFactor> factor)
+    : factor_(std::move(factor)),
+      slot_of_vertex_(static_cast<std::size_t>(factor_->vertex_count()), -1),
+      forward_(static_cast<std::size_t>(factor_->size())) {
+  grow(128);
+}
+
+void Compliance::grow(int capacity) {
+  const auto old = static_cast<std::size_t>(capacity_), now = static_cast<std::size_t>(capacity);
+  std::vector<double> g(9 * now * now, 0.0);
+  std::vector<std::uint8_t> known(now * now, 0);
+  for (std::size_t i = 0; i < 3 * old; ++i)
+    std::copy_n(g_.begin() + static_cast<std::ptrdiff_t>(i * 3 * old), 3 * old,
+                g.begin() + static_cast<std::ptrdiff_t>(i * 3 * now));
+  for (std::size_t i = 0; i < old; ++i)
+    std::copy_n(known_.begin() + static_cast<std::ptrdiff_t>(i * old), old,
+                known.begin() + static_cast<std::ptrdiff_t>(i * now));
+  g_.swap(g);
+  known_.swap(known);
+  columns_.resize(now);
+  last_used_.resize(now, 0);
+  force_n_.resize(now, Vec3::Zero());
+  active_.reserve(now);
+  loaded_.reserve(now);
+  row_times_g_.resize(3 * now);
+  capacity_ = capacity;
+}
+
+int Compliance::slot_of(std::int32_t vertex) {
+  int& slot = slot_of_vertex_[static_cast<std::size_t>(vertex)];
+  if (slot < 0) {
+    int free = 0;
+    while (free < high_water_ && columns_[static_cast<std::size_t>(free)].vertex >= 0) ++free;
+    if (free == capacity_) grow(2 * capacity_);
+    high_water_ = std::max(high_water_, free + 1);
+    factor_->walk_path(vertex, columns_[static_cast<std::size_t>(free)]);
+    ++walks_;
+    slot = free;
+  }
+  last_used_[static_cast<std::size_t>(slot)] = step_;
+  return slot;
+}
+
+void Compliance::ensure_pair(int a, int b) {
+  const auto i = static_cast<std::size_t>(a), j = static_cast<std::size_t>(b);
+  const auto n = static_cast<std::size_t>(capacity_);
+  if (known_[i * n + j]) return;
+  const fem::Mat3 block = factor_->inverse_block(columns_[i], columns_[j]);
+  for (int r = 0; r < 3; ++r)
+    for (int c = 0; c < 3; ++c) g_row(3 * a + r)[3 * b + c] = g_row(3 * b + c)[3 * a + r] = block(r, c);
+  known_[i * n + j] = known_[j * n + i] = 1;
+}
+
+void Compliance::evict(int idle_steps_max) {
+  const auto n = static_cast<std::size_t>(capacity_);
+  for (int slot = 0; slot < high_water_; ++slot) {
+    const auto s = static_cast<std::size_t>(slot);
+    if (columns_[s].vertex < 0 || last_used_[s] + static_cast<std::uint64_t>(idle_steps_max) >= step_)
+      continue;
+    if (std::find(loaded_.begin(), loaded_.end(), slot) != loaded_.end()) continue;
+    slot_of_vertex_[static_cast<std::size_t>(columns_[s].vertex)] = -1;
+    columns_[s].vertex = -1;
+    for (std::size_t other = 0; other < n; ++other) known_[s * n + other] = known_[other * n + s] = 0;
+  }
+  while (high_water_ > 0 && columns_[static_cast<std::size_t>(high_water_ - 1)].vertex < 0) --high_water_;
+}
+
+const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
+                                             std::span<const NeedleMobility> needles) {
+  ++step_;
+  const int m = rows.size();
+  active_.clear();
+  entry_slot_.clear();
+  for (int i = 0; i < m; ++i)
+    for (const Entry& entry : rows.entries(rows[i])) {
+      const int slot = slot_of(entry.vertex);
+      entry_slot_.push_back(slot);
+      active_.push_back(slot);
+    }
+  std::sort(active_.begin(), active_.end());
+  active_.erase(std::unique(active_.begin(), active_.end()), active_.end());
+  for (std::size_t a = 0; a < active_.size(); ++a)
+    for (std::size_t b = 0; b <= a; ++b) ensure_pair(active_[a], active_[b]);
+
+  w_.size = m;
+  w_.value.resize(static_cast<std::size_t>(m) * static_cast<std::size_t>(m));
+  const auto stride = static_cast<std::int64_t>(3) * capacity_;
+  const auto width = static_cast<std::int64_t>(3) * high_water_;
+  const auto at = [&](int i, int j) -> double& {
+    return w_.value[static_cast<std::size_t>(j) * static_cast<std::size_t>(m) + static_cast<std::size_t>(i)];
+  };
+  for (int i = 0; i < m; ++i) {
+    const Row& row = rows[i];
+    std::fill_n(row_times_g_.begin(), width, 0.0);
+    for (std::int32_t e = row.first_entry; e < row.first_entry + row.entry_count; ++e) {
+      const Entry& entry = rows.entries(row)[static_cast<std::size_t>(e - row.first_entry)];
+      add_three_rows(g_row(3 * entry_slot_[static_cast<std::size_t>(e)]), stride,
+                     entry.coefficient.data(), width, row_times_g_.data());
+    }
+    const NeedleMobility* needle =
+        row.needle >= 0 ? &needles[static_cast<std::size_t>(row.needle)] : nullptr;
+    const Vec6 response = needle ? Vec6(needle->mobility * row.needle_jacobian) : Vec6::Zero().eval();
+    for (int j = 0; j <= i; ++j) {
+      const Row& other = rows[j];
+      double sum = 0.0;
+      const auto entries = rows.entries(other);
+      for (std::size_t e = 0; e < entries.size(); ++e) {
+        const double* t = row_times_g_.data() +
+                          3 * entry_slot_[static_cast<std::size_t>(other.first_entry) + e];
+        const Vec3& c = entries[e].coefficient;
+        sum += c[0] * t[0] + c[1] * t[1] + c[2] * t[2];
+      }
+      if (needle && other.needle == row.needle)
+        sum += response.dot(other.needle_jacobian) +
+               needle->slide_compliance_m_per_n * row.slide * other.slide;
+      at(i, j) = at(j, i) = sum;
+    }
+    at(i, i) += row.compliance_m_per_n;
+  }
+  return w_;
+}
+
+void Compliance::apply(const ConstraintRows& rows, std::span<const double> multiplier_n) {
+  for (const int slot : loaded_) force_n_[static_cast<std::size_t>(slot)].setZero();
+  loaded_.clear();
+  for (int i = 0; i < rows.size(); ++i)
+    for (const Entry& entry : rows.entries(rows[i])) {
+      const int slot = slot_of_vertex_[static_cast<std::size_t>(entry.vertex)];
+      force_n_[static_cast<std::size_t>(slot)] += multiplier_n[static_cast<std::size_t>(i)] * entry.coefficient;
+      loaded_.push_back(slot);
+    }
+  std::sort(loaded_.begin(), loaded_.end());
+  loaded_.erase(std::unique(loaded_.begin(), loaded_.end()), loaded_.end());
+}
+
+Vec3 Compliance::displacement_m(std::int32_t vertex) {
+  const int slot = slot_of(vertex);
+  Vec3 u = Vec3::Zero();
+  for (const int other : loaded_) {
+    ensure_pair(slot, other);
+    for (int r = 0; r < 3; ++r) {
+      const double* g = g_row(3 * slot + r) + 3 * other;
+      const Vec3& f = force_n_[static_cast<std::size_t>(other)];
+      u[r] += g[0] * f[0] + g[1] * f[1] + g[2] * f[2];
+    }
+  }
+  return u;
+}
+
+void Compliance::displacements_m(std::span<const double> offset, std::span<double> u) {
+  std::fill(forward_.begin(), forward_.end(), 0.0);
+  for (const int slot : loaded_)
+    factor_->accumulate(columns_[static_cast<std::size_t>(slot)], force_n_[static_cast<std::size_t>(slot)],
+                        forward_);
+  factor_->backward(forward_, offset, u);
+}
+
+fem::Mat3 Compliance::inverse_block(std::int32_t v, std::int32_t w) {
+  const int a = slot_of(v), b = slot_of(w);
+  ensure_pair(a, b);
+  fem::Mat3 block;
+  for (int r = 0; r < 3; ++r)
+    for (int c = 0; c < 3; ++c) block(r, c) = g_row(3 * a + r)[3 * b + c];
+  return block;
+}
+
+int Compliance::cached_vertices() const {
+  return static_cast<int>(std::count_if(columns_.begin(), columns_.begin() + high_water_,
+                                        [](const auto& column) { return column.vertex >= 0; }));
+}
+
+}  // namespace sutured::constraints

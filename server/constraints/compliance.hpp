@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The compliance W of constraint rows, without a single solve with K.
+//
+//     W = C K⁻¹ Cᵀ + ε + J M Jᵀ + β k kᵀ          (paper eq. 1, Schur complement)
+//
+//   G   K⁻¹ restricted to the vertices in use, 3 × 3 blocks: inner products of walked columns
+//   M   6 × 6 mobility of a needle (m/N …): its own six unknowns condensed
+//   β   slide compliance of a needle (m/N)
+//
+// G is kept from step to step: a vertex that joins costs one walk of its path and its inner
+// products; one that stays costs nothing.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "constraints/rows.hpp"
+#include "fem/cholesky_factor.hpp"
+
+namespace sutured::constraints {
+
+/// How a needle gives way, condensed onto the rows that touch it.
+struct NeedleMobility {
+  Mat6 mobility = Mat6::Zero();          ///< M, symmetric
+  double slide_compliance_m_per_n = 0.0;  ///< β
+};
+
+/// A dense symmetric matrix, both triangles filled, column-major, m × m.
+struct ComplianceMatrix {
+  int size = 0;
+  std::vector<double> value;
+  [[nodiscard]] double operator()(int i, int j) const {
+    return value[static_cast<std::size_t>(j) * static_cast<std::size_t>(size) + static_cast<std::size_t>(i)];
+  }
+};
+
+/// K⁻¹ at the vertices in use, and what follows from it.
+///
+/// Thread: simulation. Allocates: for vertices it has never seen together, and when `rows`
+/// outgrows every earlier call.
+class Compliance {
+ public:
+  explicit Compliance(std::shared_ptr<const fem::CholeskyFactor> factor);
+
+  /// Forgets vertices unused for `idle_steps_max` calls of `assemble`.
+  void evict(int idle_steps_max);
+
+  /// Condenses the tissue and the needles onto `rows`. Cost: O(4 m V) for V vertices in use.
+  const ComplianceMatrix& assemble(const ConstraintRows& rows, std::span<const NeedleMobility> needles);
+
+  /// Takes the forces Cᵀ λ of solved rows as the present ones.
+  void apply(const ConstraintRows& rows, std::span<const double> multiplier_n);
+
+  /// Returns the displacement (m) that the present forces cause at `vertex`, loads excluded.
+  [[nodiscard]] Vec3 displacement_m(std::int32_t vertex);
+
+  /// Writes all displacements, 3n: `offset` (those of the loads) plus K⁻¹ Cᵀ λ, by one
+  /// backward pass.
+  void displacements_m(std::span<const double> offset, std::span<double> u);
+
+  /// Returns block (v, w) of K⁻¹, m/N.
+  [[nodiscard]] fem::Mat3 inverse_block(std::int32_t v, std::int32_t w);
+
+  [[nodiscard]] int cached_vertices() const;
+  [[nodiscard]] std::uint64_t walks() const { return walks_; }
+
+ private:
+  int slot_of(std::int32_t vertex);
+  void grow(int capacity);
+  void ensure_pair(int a, int b);
+  [[nodiscard]] double* g_row(int row) {
+    return g_.data() + static_cast<std::size_t>(row) * static_cast<std::size_t>(3 * capacity_);
+  }
+
+  std::shared_ptr<const fem::CholeskyFactor> factor_;
+  int capacity_ = 0;
+  int high_water_ = 0;                     ///< slots beyond it were never used
+  std::uint64_t step_ = 0, walks_ = 0;
+  std::vector<std::int32_t> slot_of_vertex_;  ///< −1 where not cached
+  std::vector<fem::PathColumns> columns_;  ///< per slot; vertex −1 where free
+  std::vector<std::uint64_t> last_used_;   ///< per slot
+  std::vector<double> g_;                  ///< 3 capacity × 3 capacity, row-major
+  std::vector<std::uint8_t> known_;        ///< capacity × capacity: pairs present in g_
+  std::vector<int> active_;                ///< slots of the present rows
+  std::vector<int> entry_slot_;            ///< per entry of the present rows
+  std::vector<double> row_times_g_;
+  std::vector<Vec3> force_n_;              ///< per slot: Cᵀ λ
+  std::vector<int> loaded_;                ///< slots with a force
+  std::vector<double> forward_;
+  ComplianceMatrix w_;
+};
+
+}  // namespace sutured::constraints

@@ -1,0 +1,479 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "fem/cholesky_factor.hpp"
+
+#include <cholmod.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <random>
+#include <string>
+
+#include "fem/simd_kernel.hpp"
+
+namespace sutured::fem {
+namespace {
+
+/// t_c −= L[:, 0..3] y_c for three right-hand sides; `stride` between the columns of L and of t.
+SUTURED_KERNEL void subtract_four_columns(const double* l, std::int64_t l_stride, const double* y,
+                                          std::int64_t count, double* t, std::int64_t t_stride) {
+  const double* l0 = l;
+  const double* l1 = l + l_stride;
+  const double* l2 = l + 2 * l_stride;
+  const double* l3 = l + 3 * l_stride;
+  double* ta = t;
+  double* tb = t + t_stride;
+  double* tc = t + 2 * t_stride;
+#pragma omp simd
+  for (std::int64_t i = 0; i < count; ++i) {
+    const double v0 = l0[i], v1 = l1[i], v2 = l2[i], v3 = l3[i];
+    ta[i] -= v0 * y[0] + v1 * y[1] + v2 * y[2] + v3 * y[3];
+    tb[i] -= v0 * y[4] + v1 * y[5] + v2 * y[6] + v3 * y[7];
+    tc[i] -= v0 * y[8] + v1 * y[9] + v2 * y[10] + v3 * y[11];
+  }
+}
+
+SUTURED_KERNEL void subtract_one_column(const double* l, const double* y, std::int64_t count,
+                                        double* t, std::int64_t t_stride) {
+  double* ta = t;
+  double* tb = t + t_stride;
+  double* tc = t + 2 * t_stride;
+#pragma omp simd
+  for (std::int64_t i = 0; i < count; ++i) {
+    ta[i] -= l[i] * y[0];
+    tb[i] -= l[i] * y[1];
+    tc[i] -= l[i] * y[2];
+  }
+}
+
+/// d[k] = L[:, k] · t for four columns.
+SUTURED_KERNEL void dot_four_columns(const double* l, std::int64_t l_stride, const double* t,
+                                     std::int64_t count, double* d) {
+  const double* l0 = l;
+  const double* l1 = l + l_stride;
+  const double* l2 = l + 2 * l_stride;
+  const double* l3 = l + 3 * l_stride;
+  double d0 = 0, d1 = 0, d2 = 0, d3 = 0;
+#pragma omp simd reduction(+ : d0, d1, d2, d3)
+  for (std::int64_t i = 0; i < count; ++i) {
+    d0 += l0[i] * t[i];
+    d1 += l1[i] * t[i];
+    d2 += l2[i] * t[i];
+    d3 += l3[i] * t[i];
+  }
+  d[0] = d0;
+  d[1] = d1;
+  d[2] = d2;
+  d[3] = d3;
+}
+
+SUTURED_KERNEL double dot_one_column(const double* l, const double* t, std::int64_t count) {
+  double sum = 0;
+#pragma omp simd reduction(+ : sum)
+  for (std::int64_t i = 0; i < count; ++i) sum += l[i] * t[i];
+  return sum;
+}
+
+/// g = Aᵀ B for two triples of columns.
+SUTURED_KERNEL void dot_three_by_three(const double* a, std::int64_t a_stride, const double* b,
+                                       std::int64_t b_stride, std::int64_t count, double* g) {
+  const double *a0 = a, *a1 = a + a_stride, *a2 = a + 2 * a_stride;
+  const double *b0 = b, *b1 = b + b_stride, *b2 = b + 2 * b_stride;
+  double g00 = 0, g01 = 0, g02 = 0, g10 = 0, g11 = 0, g12 = 0, g20 = 0, g21 = 0, g22 = 0;
+#pragma omp simd reduction(+ : g00, g01, g02, g10, g11, g12, g20, g21, g22)
+  for (std::int64_t i = 0; i < count; ++i) {
+    g00 += a0[i] * b0[i];
+    g01 += a0[i] * b1[i];
+    g02 += a0[i] * b2[i];
+    g10 += a1[i] * b0[i];
+    g11 += a1[i] * b1[i];
+    g12 += a1[i] * b2[i];
+    g20 += a2[i] * b0[i];
+    g21 += a2[i] * b1[i];
+    g22 += a2[i] * b2[i];
+  }
+  const double result[9] = {g00, g01, g02, g10, g11, g12, g20, g21, g22};
+  std::memcpy(g, result, sizeof result);
+}
+
+SUTURED_KERNEL void add_three_columns(const double* a, std::int64_t a_stride, const double* f,
+                                      std::int64_t count, double* y) {
+  const double *a0 = a, *a1 = a + a_stride, *a2 = a + 2 * a_stride;
+#pragma omp simd
+  for (std::int64_t i = 0; i < count; ++i) y[i] += a0[i] * f[0] + a1[i] * f[1] + a2[i] * f[2];
+}
+
+SUTURED_KERNEL double sum_of(const double* values, std::int64_t count) {
+  double sum = 0;
+#pragma omp simd reduction(+ : sum)
+  for (std::int64_t i = 0; i < count; ++i) sum += values[i];
+  return sum;
+}
+
+/// CHOLMOD's workspace, started and finished with its owner.
+struct Common {
+  Common() { cholmod_l_start(&value); }
+  ~Common() { cholmod_l_finish(&value); }
+  Common(const Common&) = delete;
+  Common& operator=(const Common&) = delete;
+  cholmod_common value{};
+};
+
+cholmod_sparse view_of(const LinearSystem& system) {
+  cholmod_sparse a{};
+  a.nrow = a.ncol = static_cast<std::size_t>(system.size());
+  a.nzmax = system.row.size();
+  // CHOLMOD's C interface has no const; it does not write to these.
+  a.p = const_cast<std::int64_t*>(system.column_start.data());  // NOLINT
+  a.i = const_cast<std::int64_t*>(system.row.data());           // NOLINT
+  a.x = const_cast<double*>(system.value.data());               // NOLINT
+  a.stype = -1;
+  a.itype = CHOLMOD_LONG;
+  a.xtype = CHOLMOD_REAL;
+  a.dtype = CHOLMOD_DOUBLE;
+  a.sorted = a.packed = 1;
+  return a;
+}
+
+/// A fill-reducing order of the free degrees of freedom: METIS on the graph of vertices, three
+/// times smaller than that of K, which also keeps a vertex's degrees of freedom together.
+std::vector<std::int64_t> nodal_order(const LinearSystem& system, cholmod_common* common) {
+  const auto n = static_cast<std::size_t>(system.vertex_count);
+  std::vector<std::int64_t> vertex_of(static_cast<std::size_t>(system.size()));
+  for (std::size_t dof = 0; dof < 3 * n; ++dof)
+    if (system.free_index[dof] >= 0)
+      vertex_of[static_cast<std::size_t>(system.free_index[dof])] = static_cast<std::int64_t>(dof / 3);
+  std::vector<std::int64_t> start{0}, rows, seen(n, -1);
+  std::size_t column = 0;
+  for (std::size_t v = 0; v < n; ++v) {
+    while (column < vertex_of.size() && vertex_of[column] == static_cast<std::int64_t>(v)) {
+      for (auto k = system.column_start[column]; k < system.column_start[column + 1]; ++k) {
+        const auto w = vertex_of[static_cast<std::size_t>(system.row[static_cast<std::size_t>(k)])];
+        if (w != static_cast<std::int64_t>(v) && seen[static_cast<std::size_t>(w)] != static_cast<std::int64_t>(v)) {
+          seen[static_cast<std::size_t>(w)] = static_cast<std::int64_t>(v);
+          rows.push_back(w);
+        }
+      }
+      ++column;
+    }
+    start.push_back(static_cast<std::int64_t>(rows.size()));
+  }
+  cholmod_sparse graph{};
+  graph.nrow = graph.ncol = n;
+  graph.nzmax = rows.size();
+  graph.p = start.data();
+  graph.i = rows.data();
+  graph.stype = -1;
+  graph.itype = CHOLMOD_LONG;
+  graph.xtype = CHOLMOD_PATTERN;
+  graph.packed = 1;
+  std::vector<std::int64_t> order(n);
+  if (!cholmod_l_metis(&graph, nullptr, 0, 1, order.data(), common))
+    throw std::runtime_error("CHOLMOD could not order the tissue with METIS");
+  std::vector<std::int64_t> result;
+  result.reserve(vertex_of.size());
+  for (const auto v : order)
+    for (std::size_t axis = 0; axis < 3; ++axis)
+      if (const auto f = system.free_index[3 * static_cast<std::size_t>(v) + axis]; f >= 0)
+        result.push_back(f);
+  return result;
+}
+
+}  // namespace
+
+struct CholeskyFactor::Impl {
+  Common common;
+  cholmod_factor* factor = nullptr;
+  std::int64_t size = 0;
+  std::int32_t vertex_count = 0;
+  std::vector<std::int64_t> position;       ///< 3n: row of L of a degree of freedom, or −1
+  std::vector<std::int32_t> supernode_of;   ///< per row of L
+  std::vector<std::int32_t> parent;         ///< per supernode, −1 at a root
+  std::vector<std::int32_t> columns_to_root;  ///< per supernode, itself included
+  std::vector<std::int32_t> level;          ///< per supernode, 0 at a root
+  mutable std::vector<double> panel;        ///< workspace of `backward`
+  std::int64_t panel_rows_max = 0;
+  // A copy of K for the condition estimate and residuals.
+  std::vector<std::int64_t> column_start, row;
+  std::vector<double> value;
+
+  ~Impl() { cholmod_l_free_factor(&factor, &common.value); }
+
+  [[nodiscard]] const std::int64_t* super() const { return static_cast<const std::int64_t*>(factor->super); }
+  [[nodiscard]] const std::int64_t* rows_start() const { return static_cast<const std::int64_t*>(factor->pi); }
+  [[nodiscard]] const std::int64_t* values_start() const { return static_cast<const std::int64_t*>(factor->px); }
+  [[nodiscard]] const std::int64_t* rows() const { return static_cast<const std::int64_t*>(factor->s); }
+  [[nodiscard]] const double* values() const { return static_cast<const double*>(factor->x); }
+
+  [[nodiscard]] std::int32_t common_ancestor(std::int32_t a, std::int32_t b) const {
+    if (a < 0 || b < 0) return -1;
+    while (a != b) {
+      if (level[static_cast<std::size_t>(a)] < level[static_cast<std::size_t>(b)]) std::swap(a, b);
+      a = parent[static_cast<std::size_t>(a)];
+      if (a < 0) return -1;
+    }
+    return a;
+  }
+
+  void multiply(std::span<const double> x, std::span<double> y) const {
+    std::fill(y.begin(), y.end(), 0.0);
+    for (std::size_t j = 0; j < x.size(); ++j)
+      for (auto k = column_start[j]; k < column_start[j + 1]; ++k) {
+        const auto i = static_cast<std::size_t>(row[static_cast<std::size_t>(k)]);
+        const double v = value[static_cast<std::size_t>(k)];
+        y[i] += v * x[j];
+        if (i != j) y[j] += v * x[i];
+      }
+  }
+};
+
+CholeskyFactor::CholeskyFactor(const LinearSystem& system) : impl_(std::make_unique<Impl>()) {
+  Impl& m = *impl_;
+  m.size = system.size();
+  m.vertex_count = system.vertex_count;
+  m.column_start = system.column_start;
+  m.row = system.row;
+  m.value = system.value;
+  cholmod_common* common = &m.common.value;
+  common->print = 0;
+  common->supernodal = CHOLMOD_SUPERNODAL;
+  common->final_ll = 1;
+  common->nmethods = 1;
+  common->method[0].ordering = CHOLMOD_GIVEN;
+  common->postorder = 1;
+
+  auto order = nodal_order(system, common);
+  cholmod_sparse a = view_of(system);
+  m.factor = cholmod_l_analyze_p(&a, order.data(), nullptr, 0, common);
+  if (m.factor == nullptr) throw std::runtime_error("CHOLMOD could not analyse the stiffness matrix");
+  cholmod_l_factorize(&a, m.factor, common);
+  const auto* permutation = static_cast<const std::int64_t*>(m.factor->Perm);
+  if (common->status != CHOLMOD_OK) {
+    std::int32_t vertex = -1;
+    if (static_cast<std::int64_t>(m.factor->minor) < m.size) {
+      const auto failed = permutation[m.factor->minor];
+      for (std::size_t dof = 0; dof < system.free_index.size(); ++dof)
+        if (system.free_index[dof] == failed) vertex = static_cast<std::int32_t>(dof / 3);
+    }
+    throw NotPositiveDefinite("the stiffness matrix is not positive definite near vertex " +
+                                  std::to_string(vertex) + ": part of the tissue can move freely",
+                              vertex);
+  }
+
+  std::vector<std::int64_t> inverse(static_cast<std::size_t>(m.size));
+  for (std::int64_t i = 0; i < m.size; ++i) inverse[static_cast<std::size_t>(permutation[i])] = i;
+  m.position.assign(system.free_index.size(), -1);
+  for (std::size_t dof = 0; dof < system.free_index.size(); ++dof)
+    if (system.free_index[dof] >= 0)
+      m.position[dof] = inverse[static_cast<std::size_t>(system.free_index[dof])];
+
+  const auto supernodes = m.factor->nsuper;
+  m.supernode_of.resize(static_cast<std::size_t>(m.size));
+  m.parent.assign(supernodes, -1);
+  m.columns_to_root.assign(supernodes, 0);
+  m.level.assign(supernodes, 0);
+  for (std::size_t s = 0; s < supernodes; ++s)
+    for (auto j = m.super()[s]; j < m.super()[s + 1]; ++j)
+      m.supernode_of[static_cast<std::size_t>(j)] = static_cast<std::int32_t>(s);
+  for (std::size_t s = supernodes; s-- > 0;) {
+    const auto columns = m.super()[s + 1] - m.super()[s];
+    const auto count = m.rows_start()[s + 1] - m.rows_start()[s];
+    m.panel_rows_max = std::max(m.panel_rows_max, static_cast<std::int64_t>(count));
+    m.columns_to_root[s] = static_cast<std::int32_t>(columns);
+    if (count == columns) continue;
+    const auto up = m.supernode_of[static_cast<std::size_t>(m.rows()[m.rows_start()[s] + columns])];
+    m.parent[s] = up;
+    m.columns_to_root[s] += m.columns_to_root[static_cast<std::size_t>(up)];
+    m.level[s] = m.level[static_cast<std::size_t>(up)] + 1;
+  }
+  m.panel.resize(static_cast<std::size_t>(m.panel_rows_max));
+}
+
+CholeskyFactor::~CholeskyFactor() = default;
+
+std::int64_t CholeskyFactor::size() const { return impl_->size; }
+std::int32_t CholeskyFactor::vertex_count() const { return impl_->vertex_count; }
+std::int64_t CholeskyFactor::stored_values() const {
+  return static_cast<std::int64_t>(impl_->factor->xsize);
+}
+
+void CholeskyFactor::solve(std::span<const double> b, std::span<double> x) const {
+  cholmod_dense right{};
+  right.nrow = right.d = right.nzmax = b.size();
+  right.ncol = 1;
+  right.x = const_cast<double*>(b.data());  // NOLINT: CHOLMOD's C interface has no const
+  right.xtype = CHOLMOD_REAL;
+  right.dtype = CHOLMOD_DOUBLE;
+  cholmod_dense* result = cholmod_l_solve(CHOLMOD_A, impl_->factor, &right, &impl_->common.value);
+  if (result == nullptr) throw std::bad_alloc();
+  std::memcpy(x.data(), result->x, x.size_bytes());
+  cholmod_l_free_dense(&result, &impl_->common.value);
+}
+
+void CholeskyFactor::walk_path(std::int32_t vertex, PathColumns& columns) const {
+  const Impl& m = *impl_;
+  columns.vertex = vertex;
+  columns.first_supernode = -1;
+  columns.length = 0;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const auto at = m.position[3 * static_cast<std::size_t>(vertex) + axis];
+    if (at < 0) continue;
+    const auto s = m.supernode_of[static_cast<std::size_t>(at)];
+    // The degrees of freedom of a vertex are coupled, so they lie on one path: the longest
+    // way to the root is the path of all three.
+    if (m.columns_to_root[static_cast<std::size_t>(s)] > columns.length) {
+      columns.length = m.columns_to_root[static_cast<std::size_t>(s)];
+      columns.first_supernode = s;
+    }
+  }
+  const std::int64_t length = columns.length;
+  columns.value.assign(static_cast<std::size_t>(3 * length), 0.0);
+  if (length == 0) return;
+  double* value = columns.value.data();
+  const auto slot = [&](std::int64_t row) {
+    const auto s = static_cast<std::size_t>(m.supernode_of[static_cast<std::size_t>(row)]);
+    return length - m.columns_to_root[s] + (row - m.super()[s]);
+  };
+  std::int64_t first_row = m.size;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const auto at = m.position[3 * static_cast<std::size_t>(vertex) + axis];
+    if (at < 0) continue;
+    value[static_cast<std::int64_t>(axis) * length + slot(at)] = 1.0;
+    first_row = std::min(first_row, at);
+  }
+
+  thread_local std::vector<double> below;
+  if (static_cast<std::int64_t>(below.size()) < 3 * m.panel_rows_max)
+    below.resize(static_cast<std::size_t>(3 * m.panel_rows_max));
+  for (std::int32_t s = columns.first_supernode; s >= 0; s = m.parent[static_cast<std::size_t>(s)]) {
+    const auto i = static_cast<std::size_t>(s);
+    const auto column_count = m.super()[i + 1] - m.super()[i];
+    const auto row_count = m.rows_start()[i + 1] - m.rows_start()[i];
+    const auto rest = row_count - column_count;
+    const double* panel = m.values() + m.values_start()[i];
+    double* own = value + slot(m.super()[i]);  // contiguous for the supernode's own columns
+    std::fill_n(below.begin(), 3 * rest, 0.0);
+    auto k = std::max<std::int64_t>(0, first_row - m.super()[i]);  // zeros before the vertex
+    while (k < column_count) {
+      const std::int64_t width = std::min<std::int64_t>(4, column_count - k);
+      double y[12];
+      for (std::int64_t c = 0; c < width; ++c)
+        for (std::int64_t axis = 0; axis < 3; ++axis) {
+          double sum = own[axis * length + k + c];
+          for (std::int64_t d = 0; d < c; ++d) sum -= panel[(k + d) * row_count + k + c] * y[axis * 4 + d];
+          y[axis * 4 + c] = sum / panel[(k + c) * row_count + k + c];
+          own[axis * length + k + c] = y[axis * 4 + c];
+        }
+      const std::int64_t after = k + width;
+      if (width == 4) {
+        subtract_four_columns(panel + k * row_count + after, row_count, y, column_count - after,
+                              own + after, length);
+        subtract_four_columns(panel + k * row_count + column_count, row_count, y, rest, below.data(), rest);
+      } else {
+        for (std::int64_t c = 0; c < width; ++c) {
+          const double one[3] = {y[c], y[4 + c], y[8 + c]};
+          subtract_one_column(panel + (k + c) * row_count + after, one, column_count - after,
+                              own + after, length);
+          subtract_one_column(panel + (k + c) * row_count + column_count, one, rest, below.data(), rest);
+        }
+      }
+      k = after;
+    }
+    const std::int64_t* rows = m.rows() + m.rows_start()[i] + column_count;
+    for (std::int64_t r = 0; r < rest; ++r) {
+      const auto at = slot(rows[r]);
+      for (std::int64_t axis = 0; axis < 3; ++axis)
+        value[axis * length + at] += below[static_cast<std::size_t>(axis * rest + r)];
+    }
+  }
+}
+
+Mat3 CholeskyFactor::inverse_block(const PathColumns& v, const PathColumns& w) const {
+  Mat3 block = Mat3::Zero();
+  const auto ancestor = impl_->common_ancestor(v.first_supernode, w.first_supernode);
+  if (ancestor < 0) return block;
+  const auto count = impl_->columns_to_root[static_cast<std::size_t>(ancestor)];
+  double g[9];
+  dot_three_by_three(v.value.data() + (v.length - count), v.length, w.value.data() + (w.length - count),
+                     w.length, count, g);
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) block(i, j) = g[3 * i + j];
+  return block;
+}
+
+void CholeskyFactor::accumulate(const PathColumns& columns, const Vec3& force_n, std::span<double> y) const {
+  const Impl& m = *impl_;
+  for (std::int32_t s = columns.first_supernode; s >= 0; s = m.parent[static_cast<std::size_t>(s)]) {
+    const auto i = static_cast<std::size_t>(s);
+    add_three_columns(columns.value.data() + (columns.length - m.columns_to_root[i]), columns.length,
+                      force_n.data(), m.super()[i + 1] - m.super()[i], y.data() + m.super()[i]);
+  }
+}
+
+void CholeskyFactor::backward(std::span<double> y, std::span<const double> offset,
+                              std::span<double> u) const {
+  const Impl& m = *impl_;
+  double* x = y.data();
+  double* below = m.panel.data();
+  for (std::size_t s = m.factor->nsuper; s-- > 0;) {
+    const auto first = m.super()[s];
+    const auto column_count = m.super()[s + 1] - first;
+    const auto row_count = m.rows_start()[s + 1] - m.rows_start()[s];
+    const auto rest = row_count - column_count;
+    const double* panel = m.values() + m.values_start()[s];
+    const std::int64_t* rows = m.rows() + m.rows_start()[s] + column_count;
+    for (std::int64_t r = 0; r < rest; ++r) below[r] = x[rows[r]];
+    double* own = x + first;
+    auto k = column_count;
+    while (k > 0) {
+      const std::int64_t width = std::min<std::int64_t>(4, k);
+      const auto from = k - width;
+      double d[4] = {0, 0, 0, 0}, e[4] = {0, 0, 0, 0};
+      if (width == 4) {
+        dot_four_columns(panel + from * row_count + k, row_count, own + k, column_count - k, d);
+        dot_four_columns(panel + from * row_count + column_count, row_count, below, rest, e);
+      } else {
+        for (std::int64_t c = 0; c < width; ++c) {
+          d[c] = dot_one_column(panel + (from + c) * row_count + k, own + k, column_count - k);
+          e[c] = dot_one_column(panel + (from + c) * row_count + column_count, below, rest);
+        }
+      }
+      for (std::int64_t c = width; c-- > 0;) {
+        double sum = own[from + c] - d[c] - e[c];
+        for (std::int64_t b = c + 1; b < width; ++b) sum -= panel[(from + c) * row_count + from + b] * own[from + b];
+        own[from + c] = sum / panel[(from + c) * row_count + from + c];
+      }
+      k = from;
+    }
+  }
+  for (std::size_t dof = 0; dof < m.position.size(); ++dof)
+    u[dof] = offset[dof] + (m.position[dof] >= 0 ? x[m.position[dof]] : 0.0);
+}
+
+double CholeskyFactor::read_once() const { return sum_of(impl_->values(), stored_values()); }
+
+double CholeskyFactor::estimate_condition() const {
+  const auto n = static_cast<std::size_t>(size());
+  std::mt19937_64 random(1);
+  std::normal_distribution<double> normal;
+  const auto largest = [&](const auto& apply) {
+    std::vector<double> x(n), y(n);
+    for (double& v : x) v = normal(random);
+    double eigenvalue = 0;
+    for (int iteration = 0; iteration < 60; ++iteration) {
+      double norm = 0;
+      for (const double v : x) norm += v * v;
+      norm = std::sqrt(norm);
+      for (double& v : x) v /= norm;
+      apply(x, y);
+      eigenvalue = 0;
+      for (std::size_t i = 0; i < n; ++i) eigenvalue += x[i] * y[i];
+      x.swap(y);
+    }
+    return eigenvalue;
+  };
+  return largest([&](const auto& x, auto& y) { impl_->multiply(x, y); }) *
+         largest([&](const auto& x, auto& y) { solve(x, y); });
+}
+
+}  // namespace sutured::fem

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// K = Pᵀ L Lᵀ P, and the two partial solves the product lives on.
+//
+// A constraint touches a few vertices. The column L⁻¹ P e_v of a vertex is zero outside one path
+// of the elimination tree, from v up to the root, so it is computed by walking that path and
+// nothing else. Columns are stored aligned at the root:
+//
+//        root ── … ── a ── … ── v          y_v  [ v … a … root ]
+//                      └── … ── w          y_w      [ w … a … root ]
+//
+// so that the inner product of two columns, an entry of K⁻¹, is one dense dot product over
+// their common end, from the lowest common ancestor a to the root.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <stdexcept>
+#include <vector>
+
+#include "fem/stiffness.hpp"
+
+namespace sutured::fem {
+
+/// K is not positive definite: some part of the tissue can move freely, or is degenerate.
+struct NotPositiveDefinite : std::runtime_error {
+  NotPositiveDefinite(const std::string& what, std::int32_t at)
+      : std::runtime_error(what), vertex(at) {}
+  std::int32_t vertex;  ///< a vertex of the part that can move
+};
+
+/// The three columns L⁻¹ P e_{3v + axis} of one vertex, on its path to the root.
+struct PathColumns {
+  std::int32_t vertex = -1;
+  std::int32_t first_supernode = -1;  ///< −1 where the whole vertex is prescribed
+  std::int32_t length = 0;            ///< entries per column
+  std::vector<double> value;          ///< 3 × length, one column after the other
+};
+
+/// The supernodal Cholesky factor of a LinearSystem: immutable once made, shared between threads.
+class CholeskyFactor {
+ public:
+  /// Orders (METIS on the graph of vertices), analyses and factors with CHOLMOD.
+  /// Throws NotPositiveDefinite.
+  explicit CholeskyFactor(const LinearSystem& system);
+  ~CholeskyFactor();
+  CholeskyFactor(const CholeskyFactor&) = delete;
+  CholeskyFactor& operator=(const CholeskyFactor&) = delete;
+
+  [[nodiscard]] std::int64_t size() const;  ///< free degrees of freedom
+  [[nodiscard]] std::int32_t vertex_count() const;
+  [[nodiscard]] std::int64_t stored_values() const;  ///< doubles in L's panels
+
+  /// Solves K x = b with CHOLMOD (both of length size()). Allocates. For set-up and oracles.
+  void solve(std::span<const double> b, std::span<double> x) const;
+
+  /// Fills `columns` for vertex v by one walk up its path. Allocates only when `columns.value`
+  /// grows. Cost: about an eighth of L for the largest paths.
+  void walk_path(std::int32_t vertex, PathColumns& columns) const;
+
+  /// Returns block (v, w) of K⁻¹, m/N, from two walked vertices.
+  [[nodiscard]] Mat3 inverse_block(const PathColumns& v, const PathColumns& w) const;
+
+  /// Adds L⁻¹ P Eᵥ f to `y` (size()), f a force (N) on the walked vertex.
+  void accumulate(const PathColumns& columns, const Vec3& force_n, std::span<double> y) const;
+
+  /// Solves Lᵀ P u = y for all vertices and adds `offset`: u[3v + axis] for free degrees of
+  /// freedom, `offset` alone for prescribed ones. `y` is destroyed.
+  /// Thread: one per factor and `y`; allocates nothing. Cost: reading L once.
+  void backward(std::span<double> y, std::span<const double> offset, std::span<double> u) const;
+
+  /// Sums the values of L: what the memory alone costs, for benchmarks.
+  [[nodiscard]] double read_once() const;
+
+  /// Estimates the 2-norm condition number of K by power iterations on K and K⁻¹.
+  [[nodiscard]] double estimate_condition() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace sutured::fem
