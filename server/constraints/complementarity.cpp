@@ -12,6 +12,8 @@ namespace {
 
 constexpr int kRoundsWithoutProgress = 10;
 constexpr double kGapScale_m = 1e-3;
+// A row switches only when it is wrong by more than rounding can make it.
+constexpr double kRounding = 1e-12;
 
 std::size_t at(int i) { return static_cast<std::size_t>(i); }
 
@@ -41,7 +43,8 @@ void ComplementaritySolver::factor(const ComplianceMatrix& w, std::span<const Bo
   const int nb = static_cast<int>(bilateral_.size()), nu = static_cast<int>(bounded_.size());
   reduced_.resize(at(nb) * at(nb));
   for (int j = 0; j < nb; ++j)
-    for (int i = 0; i < nb; ++i) reduced_[at(j) * at(nb) + at(i)] = w(bilateral_[at(i)], bilateral_[at(j)]);
+    for (int i = 0; i < nb; ++i)
+      reduced_[at(j) * at(nb) + at(i)] = w(bilateral_[at(i)], bilateral_[at(j)]);
   regularised_ = factor_regularised(nb, l_, reduced_);
   v_.resize(at(nb) * at(nu));
   for (int j = 0; j < nu; ++j)
@@ -59,8 +62,10 @@ void ComplementaritySolver::condense(const double* j, int columns, std::vector<d
   half.resize(at(nb) * at(columns));
   condensed.resize(at(nu) * at(columns));
   for (int c = 0; c < columns; ++c) {
-    for (int i = 0; i < nb; ++i) half[at(c) * at(nb) + at(i)] = j[at(c) * at(m_) + at(bilateral_[at(i)])];
-    for (int i = 0; i < nu; ++i) condensed[at(c) * at(nu) + at(i)] = j[at(c) * at(m_) + at(bounded_[at(i)])];
+    for (int i = 0; i < nb; ++i)
+      half[at(c) * at(nb) + at(i)] = j[at(c) * at(m_) + at(bilateral_[at(i)])];
+    for (int i = 0; i < nu; ++i)
+      condensed[at(c) * at(nu) + at(i)] = j[at(c) * at(m_) + at(bounded_[at(i)])];
   }
   blas::forward(nb, l_.data(), nb, half.data(), columns, nb);
   for (int c = 0; c < columns; ++c)
@@ -68,36 +73,139 @@ void ComplementaritySolver::condense(const double* j, int columns, std::vector<d
                        condensed.data() + at(c) * at(nu));
 }
 
-/// Solves S_FF λ_F = q_F − S_FA λ_A for the free rows F, the others being at a bound.
-bool ComplementaritySolver::solve_free(std::span<const double> qs, std::span<double> lambda_u) {
-  const int nu = static_cast<int>(bounded_.size()), nf = static_cast<int>(free_.size());
+const Bounds& ComplementaritySolver::bounds_of(int i) const { return bounds_[at(bounded_[at(i)])]; }
+
+/// Sets the rows that are not free to their bounds and solves S_FF λ_F = q_F − S_FA λ_A.
+bool ComplementaritySolver::solve_free() {
+  const int nu = static_cast<int>(bounded_.size());
+  free_.clear();
+  for (int i = 0; i < nu; ++i) {
+    if (state_u_[at(i)] == RowState::kFree) {
+      free_.push_back(i);
+    } else {
+      lambda_u_[at(i)] =
+          state_u_[at(i)] == RowState::kLower ? bounds_of(i).lower_n : bounds_of(i).upper_n;
+    }
+  }
+  const int nf = static_cast<int>(free_.size());
   if (nf == 0) return true;
   reduced_.resize(at(nf) * at(nf));
   reduced_rhs_.resize(at(nf));
+  double largest = 0.0;
   for (int j = 0; j < nf; ++j) {
-    for (int i = j; i < nf; ++i)
-      reduced_[at(j) * at(nf) + at(i)] = condensed_compliance(free_[at(i)], free_[at(j)]);
-    double rhs = qs[at(free_[at(j)])];
+    largest = std::max(largest, condensed_compliance(free_[at(j)], free_[at(j)]));
+    double rhs = qs_[at(free_[at(j)])];
     for (int k = 0; k < nu; ++k)
-      if (state_u_[at(k)] != RowState::kFree && lambda_u[at(k)] != 0.0)
-        rhs -= condensed_compliance(free_[at(j)], k) * lambda_u[at(k)];
+      if (state_u_[at(k)] != RowState::kFree && lambda_u_[at(k)] != 0.0)
+        rhs -= condensed_compliance(free_[at(j)], k) * lambda_u_[at(k)];
     reduced_rhs_[at(j)] = rhs;
   }
-  if (!blas::cholesky(nf, reduced_.data(), nf)) {
-    double largest = 0.0;
-    for (int j = 0; j < nf; ++j) largest = std::max(largest, condensed_compliance(free_[at(j)], free_[at(j)]));
+  for (const double shift : {0.0, 1e-9 * largest}) {
     for (int j = 0; j < nf; ++j) {
       for (int i = j; i < nf; ++i)
         reduced_[at(j) * at(nf) + at(i)] = condensed_compliance(free_[at(i)], free_[at(j)]);
-      reduced_[at(j) * at(nf) + at(j)] += 1e-9 * largest;
+      reduced_[at(j) * at(nf) + at(j)] += shift;
+    }
+    if (blas::cholesky(nf, reduced_.data(), nf)) {
+      blas::forward(nf, reduced_.data(), nf, reduced_rhs_.data(), 1, nf);
+      blas::backward(nf, reduced_.data(), nf, reduced_rhs_.data());
+      for (int j = 0; j < nf; ++j) lambda_u_[at(free_[at(j)])] = reduced_rhs_[at(j)];
+      return true;
     }
     regularised_ = true;
-    if (!blas::cholesky(nf, reduced_.data(), nf)) return false;
   }
-  blas::forward(nf, reduced_.data(), nf, reduced_rhs_.data(), 1, nf);
-  blas::backward(nf, reduced_.data(), nf, reduced_rhs_.data());
-  for (int j = 0; j < nf; ++j) lambda_u[at(free_[at(j)])] = reduced_rhs_[at(j)];
-  return true;
+  return false;
+}
+
+/// Where row i belongs, given its multiplier and its gap.
+RowState ComplementaritySolver::right_state(int i) const {
+  const double l = lambda_u_[at(i)], w = gap_u_[at(i)];
+  const double lambda_tolerance_n = kRounding * lambda_scale_;
+  const double gap_tolerance_m = kRounding * magnitude_u_[at(i)];
+  switch (state_u_[at(i)]) {
+    case RowState::kFree:
+      if (l < bounds_of(i).lower_n - lambda_tolerance_n) return RowState::kLower;
+      if (l > bounds_of(i).upper_n + lambda_tolerance_n) return RowState::kUpper;
+      return RowState::kFree;
+    case RowState::kLower:
+      return w < -gap_tolerance_m ? RowState::kFree : RowState::kLower;
+    case RowState::kUpper:
+      return w > gap_tolerance_m ? RowState::kFree : RowState::kUpper;
+  }
+  return RowState::kFree;
+}
+
+/// Computes the gaps of the bounded rows and counts those on the wrong side.
+int ComplementaritySolver::count_wrong() {
+  const int nu = static_cast<int>(bounded_.size());
+  lambda_scale_ = 0.0;
+  for (int i = 0; i < nu; ++i) lambda_scale_ = std::max(lambda_scale_, std::abs(lambda_u_[at(i)]));
+  int wrong = 0;
+  for (int i = 0; i < nu; ++i) {
+    double w = -qs_[at(i)], magnitude = std::abs(w);
+    for (int k = 0; k < nu; ++k) {
+      const double term = condensed_compliance(i, k) * lambda_u_[at(k)];
+      w += term;
+      magnitude += std::abs(term);
+    }
+    gap_u_[at(i)] = w;
+    magnitude_u_[at(i)] = magnitude;
+    wrong += right_state(i) != state_u_[at(i)];
+  }
+  return wrong;
+}
+
+/// The primal active-set method on min ½ λᵀ S λ − qᵀ λ: every round either lowers the objective
+/// or binds one more row, so no active set comes twice.
+bool ComplementaritySolver::descend(int& rounds) {
+  const int nu = static_cast<int>(bounded_.size());
+  const int rounds_max = rounds + 100 + 20 * nu;
+  for (int i = 0; i < nu; ++i) {
+    const Bounds& b = bounds_of(i);
+    lambda_u_[at(i)] = std::clamp(lambda_u_[at(i)], b.lower_n, b.upper_n);
+    state_u_[at(i)] = lambda_u_[at(i)] == b.lower_n   ? RowState::kLower
+                      : lambda_u_[at(i)] == b.upper_n ? RowState::kUpper
+                                                      : RowState::kFree;
+  }
+  for (; rounds < rounds_max; ++rounds) {
+    feasible_u_ = lambda_u_;
+    if (!solve_free()) return false;
+    // The longest step towards the minimiser over the free rows that stays within the bounds.
+    double step = 1.0;
+    int blocking = -1;
+    for (const int i : free_) {
+      const Bounds& b = bounds_of(i);
+      const double from = feasible_u_[at(i)], to = lambda_u_[at(i)];
+      const double bound = to < b.lower_n ? b.lower_n : to > b.upper_n ? b.upper_n : to;
+      if (bound == to) continue;
+      const double share = (bound - from) / (to - from);
+      if (share < step) {
+        step = share;
+        blocking = i;
+      }
+    }
+    if (blocking >= 0) {
+      for (const int i : free_)
+        lambda_u_[at(i)] = feasible_u_[at(i)] + step * (lambda_u_[at(i)] - feasible_u_[at(i)]);
+      const bool low = lambda_u_[at(blocking)] <
+                       0.5 * (bounds_of(blocking).lower_n + bounds_of(blocking).upper_n);
+      state_u_[at(blocking)] = low ? RowState::kLower : RowState::kUpper;
+      lambda_u_[at(blocking)] = low ? bounds_of(blocking).lower_n : bounds_of(blocking).upper_n;
+      continue;
+    }
+    if (count_wrong() == 0) return true;
+    int worst = -1;
+    double most = 0.0;
+    for (int i = 0; i < nu; ++i)
+      if (state_u_[at(i)] != RowState::kFree && right_state(i) == RowState::kFree &&
+          std::abs(gap_u_[at(i)]) > most) {
+        most = std::abs(gap_u_[at(i)]);
+        worst = i;
+      }
+    if (worst < 0) return true;
+    state_u_[at(worst)] = RowState::kFree;
+  }
+  return false;
 }
 
 SolveReport ComplementaritySolver::solve(std::span<const double> q, std::span<double> lambda,
@@ -108,80 +216,43 @@ SolveReport ComplementaritySolver::solve(std::span<const double> q, std::span<do
   for (int i = 0; i < nb; ++i) half_q_[at(i)] = q[at(bilateral_[at(i)])];
   blas::forward(nb, l_.data(), nb, half_q_.data(), 1, std::max(nb, 1));
   qs_.resize(at(nu));
-  double q_scale = 0.0;
   for (int i = 0; i < nu; ++i) {
     qs_[at(i)] = q[at(bounded_[at(i)])];
-    q_scale = std::max(q_scale, std::abs(qs_[at(i)]));
   }
   blas::multiply_add(true, nb, nu, -1.0, v_.data(), nb, half_q_.data(), qs_.data());
 
   lambda_u_.assign(at(nu), 0.0);
   gap_u_.assign(at(nu), 0.0);
+  magnitude_u_.assign(at(nu), 0.0);
   state_u_.resize(at(nu));
-  const auto bounds = [&](int i) -> const Bounds& { return bounds_[at(bounded_[at(i)])]; };
   for (int i = 0; i < nu; ++i) {
     RowState s = state[at(bounded_[at(i)])];
-    if (s == RowState::kLower && bounds(i).lower_n == -kUnbounded) s = RowState::kFree;
-    if (s == RowState::kUpper && bounds(i).upper_n == kUnbounded) s = RowState::kFree;
+    if (s == RowState::kLower && bounds_of(i).lower_n == -kUnbounded) s = RowState::kFree;
+    if (s == RowState::kUpper && bounds_of(i).upper_n == kUnbounded) s = RowState::kFree;
     state_u_[at(i)] = s;
   }
-  // A row switches only when it is wrong by more than rounding can make it.
-  const double gap_tolerance_m = 1e-12 * std::max(q_scale, kGapScale_m);
+  // Block pivoting: fast, and nearly always enough.
   int best = nu + 1, patience = kRoundsWithoutProgress;
-  const int rounds_max = 50 + 20 * nu;
-  for (;; ++report.pivoting_rounds) {
-    free_.clear();
-    for (int i = 0; i < nu; ++i) {
-      if (state_u_[at(i)] == RowState::kFree) free_.push_back(i);
-      else lambda_u_[at(i)] = state_u_[at(i)] == RowState::kLower ? bounds(i).lower_n : bounds(i).upper_n;
-    }
-    if (!solve_free(qs_, lambda_u_)) report.converged = false;
-    double lambda_scale = 0.0;
-    for (int i = 0; i < nu; ++i) lambda_scale = std::max(lambda_scale, std::abs(lambda_u_[at(i)]));
-    const double lambda_tolerance_n = 1e-12 * lambda_scale;
-    int wrong = 0, last_wrong = -1;
-    const auto right_state = [&](int i) {
-      const double l = lambda_u_[at(i)], w = gap_u_[at(i)];
-      switch (state_u_[at(i)]) {
-        case RowState::kFree:
-          if (l < bounds(i).lower_n - lambda_tolerance_n) return RowState::kLower;
-          if (l > bounds(i).upper_n + lambda_tolerance_n) return RowState::kUpper;
-          return RowState::kFree;
-        case RowState::kLower: return w < -gap_tolerance_m ? RowState::kFree : RowState::kLower;
-        default: return w > gap_tolerance_m ? RowState::kFree : RowState::kUpper;
-      }
-    };
-    for (int i = 0; i < nu; ++i) {
-      double w = -qs_[at(i)];
-      for (int k = 0; k < nu; ++k) w += condensed_compliance(i, k) * lambda_u_[at(k)];
-      gap_u_[at(i)] = w;
-      if (right_state(i) != state_u_[at(i)]) {
-        ++wrong;
-        last_wrong = i;
-      }
-    }
-    if (wrong == 0) break;
-    if (report.pivoting_rounds >= rounds_max) {
-      report.converged = false;
+  bool solved = false;
+  while (!solved && patience > 0) {
+    if (!solve_free()) break;
+    const int wrong = count_wrong();
+    if (wrong == 0) {
+      solved = true;
       break;
     }
-    bool block = true;
+    ++report.pivoting_rounds;
     if (wrong < best) {
       best = wrong;
       patience = kRoundsWithoutProgress;
-    } else if (patience > 0) {
+    } else {
       --patience;
-    } else {
-      block = false;
     }
-    if (block) {
-      for (int i = 0; i < nu; ++i) state_u_[at(i)] = right_state(i);
-    } else {
-      state_u_[at(last_wrong)] = right_state(last_wrong);
-    }
+    for (int i = 0; i < nu; ++i) state_u_[at(i)] = right_state(i);
   }
+  if (!solved) report.converged = descend(report.pivoting_rounds);
   for (int i = 0; i < nu; ++i) {
-    lambda_u_[at(i)] = std::clamp(lambda_u_[at(i)], bounds(i).lower_n, bounds(i).upper_n);
+    lambda_u_[at(i)] = std::clamp(lambda_u_[at(i)], bounds_of(i).lower_n, bounds_of(i).upper_n);
     lambda[at(bounded_[at(i)])] = lambda_u_[at(i)];
     state[at(bounded_[at(i)])] = state_u_[at(i)];
     report.active_bounded_rows += lambda_u_[at(i)] != 0.0;

@@ -9,10 +9,10 @@
 //     W_BB = L Lᵀ,   V = L⁻¹ W_BU,   S = W_UU − Vᵀ V,   q_S = q_U − Vᵀ L⁻¹ q_B
 //
 // and the bounded rows U are solved on S by block principal pivoting: every row on the wrong
-// side of its bound or of its gap switches at once, while their number falls; when it does not
-// for ten rounds, only the last such row switches (Murty), which ends for every positive
-// definite S. (Júdice & Pires 1994; ε > 0 makes S positive definite.) The same L, V and S give
-// the haptic model its condensed problem.
+// side of its bound or of its gap switches at once, while their number falls (Júdice & Pires 1994).
+// When it has not fallen for ten rounds, the primal active-set method takes over, which lowers
+// ½ λᵀ S λ − q_Sᵀ λ from round to round and so ends for every positive definite S; ε > 0 makes it
+// so. The same L, V and S give the haptic model its condensed problem.
 #pragma once
 
 #include <cstdint>
@@ -70,17 +70,23 @@ class ComplementaritySolver {
   }
 
  private:
-  bool solve_free(std::span<const double> qs, std::span<double> lambda_u);
+  [[nodiscard]] const Bounds& bounds_of(int i) const;
+  [[nodiscard]] RowState right_state(int i) const;
+  bool solve_free();
+  int count_wrong();
+  bool descend(int& rounds);
 
   int m_ = 0;
   const ComplianceMatrix* w_ = nullptr;
   std::vector<Bounds> bounds_;
   std::vector<int> bilateral_, bounded_;
-  std::vector<double> l_;   ///< n_B × n_B, lower
-  std::vector<double> v_;   ///< n_B × n_U
-  std::vector<double> s_;   ///< n_U × n_U, lower
+  std::vector<double> l_;  ///< n_B × n_B, lower
+  std::vector<double> v_;  ///< n_B × n_U
+  std::vector<double> s_;  ///< n_U × n_U, lower
   bool regularised_ = false;
-  std::vector<double> half_q_, qs_, lambda_u_, gap_u_, reduced_, reduced_rhs_, gap_;
+  double lambda_scale_ = 0.0;
+  std::vector<double> half_q_, qs_, lambda_u_, gap_u_, magnitude_u_, feasible_u_, reduced_,
+      reduced_rhs_, gap_;
   std::vector<int> free_;
   std::vector<RowState> state_u_;
 };

@@ -68,7 +68,8 @@ void Compliance::ensure_pair(int a, int b) {
   if (known_[i * n + j]) return;
   const fem::Mat3 block = factor_->inverse_block(columns_[i], columns_[j]);
   for (int r = 0; r < 3; ++r)
-    for (int c = 0; c < 3; ++c) g_row(3 * a + r)[3 * b + c] = g_row(3 * b + c)[3 * a + r] = block(r, c);
+    for (int c = 0; c < 3; ++c)
+      g_row(3 * a + r)[3 * b + c] = g_row(3 * b + c)[3 * a + r] = block(r, c);
   known_[i * n + j] = known_[j * n + i] = 1;
 }
 
@@ -76,14 +77,17 @@ void Compliance::evict(int idle_steps_max) {
   const auto n = static_cast<std::size_t>(capacity_);
   for (int slot = 0; slot < high_water_; ++slot) {
     const auto s = static_cast<std::size_t>(slot);
-    if (columns_[s].vertex < 0 || last_used_[s] + static_cast<std::uint64_t>(idle_steps_max) >= step_)
+    if (columns_[s].vertex < 0 ||
+        last_used_[s] + static_cast<std::uint64_t>(idle_steps_max) >= step_)
       continue;
     if (std::find(loaded_.begin(), loaded_.end(), slot) != loaded_.end()) continue;
     slot_of_vertex_[static_cast<std::size_t>(columns_[s].vertex)] = -1;
     columns_[s].vertex = -1;
-    for (std::size_t other = 0; other < n; ++other) known_[s * n + other] = known_[other * n + s] = 0;
+    for (std::size_t other = 0; other < n; ++other)
+      known_[s * n + other] = known_[other * n + s] = 0;
   }
-  while (high_water_ > 0 && columns_[static_cast<std::size_t>(high_water_ - 1)].vertex < 0) --high_water_;
+  while (high_water_ > 0 && columns_[static_cast<std::size_t>(high_water_ - 1)].vertex < 0)
+    --high_water_;
 }
 
 const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
@@ -108,7 +112,8 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
   const auto stride = static_cast<std::int64_t>(3) * capacity_;
   const auto width = static_cast<std::int64_t>(3) * high_water_;
   const auto at = [&](int i, int j) -> double& {
-    return w_.value[static_cast<std::size_t>(j) * static_cast<std::size_t>(m) + static_cast<std::size_t>(i)];
+    return w_.value[static_cast<std::size_t>(j) * static_cast<std::size_t>(m) +
+                    static_cast<std::size_t>(i)];
   };
   for (int i = 0; i < m; ++i) {
     const Row& row = rows[i];
@@ -120,14 +125,15 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
     }
     const NeedleMobility* needle =
         row.needle >= 0 ? &needles[static_cast<std::size_t>(row.needle)] : nullptr;
-    const Vec6 response = needle ? Vec6(needle->mobility * row.needle_jacobian) : Vec6::Zero().eval();
+    const Vec6 response =
+        needle ? Vec6(needle->mobility * row.needle_jacobian) : Vec6::Zero().eval();
     for (int j = 0; j <= i; ++j) {
       const Row& other = rows[j];
       double sum = 0.0;
       const auto entries = rows.entries(other);
       for (std::size_t e = 0; e < entries.size(); ++e) {
-        const double* t = row_times_g_.data() +
-                          3 * entry_slot_[static_cast<std::size_t>(other.first_entry) + e];
+        const double* t =
+            row_times_g_.data() + 3 * entry_slot_[static_cast<std::size_t>(other.first_entry) + e];
         const Vec3& c = entries[e].coefficient;
         sum += c[0] * t[0] + c[1] * t[1] + c[2] * t[2];
       }
@@ -147,7 +153,8 @@ void Compliance::apply(const ConstraintRows& rows, std::span<const double> multi
   for (int i = 0; i < rows.size(); ++i)
     for (const Entry& entry : rows.entries(rows[i])) {
       const int slot = slot_of_vertex_[static_cast<std::size_t>(entry.vertex)];
-      force_n_[static_cast<std::size_t>(slot)] += multiplier_n[static_cast<std::size_t>(i)] * entry.coefficient;
+      force_n_[static_cast<std::size_t>(slot)] +=
+          multiplier_n[static_cast<std::size_t>(i)] * entry.coefficient;
       loaded_.push_back(slot);
     }
   std::sort(loaded_.begin(), loaded_.end());
@@ -171,8 +178,8 @@ Vec3 Compliance::displacement_m(std::int32_t vertex) {
 void Compliance::displacements_m(std::span<const double> offset, std::span<double> u) {
   std::fill(forward_.begin(), forward_.end(), 0.0);
   for (const int slot : loaded_)
-    factor_->accumulate(columns_[static_cast<std::size_t>(slot)], force_n_[static_cast<std::size_t>(slot)],
-                        forward_);
+    factor_->accumulate(columns_[static_cast<std::size_t>(slot)],
+                        force_n_[static_cast<std::size_t>(slot)], forward_);
   factor_->backward(forward_, offset, u);
 }
 

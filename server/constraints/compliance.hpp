@@ -23,7 +23,7 @@ namespace sutured::constraints {
 
 /// How a needle gives way, condensed onto the rows that touch it.
 struct NeedleMobility {
-  Mat6 mobility = Mat6::Zero();          ///< M, symmetric
+  Mat6 mobility = Mat6::Zero();           ///< M, symmetric
   double slide_compliance_m_per_n = 0.0;  ///< β
 };
 
@@ -32,7 +32,8 @@ struct ComplianceMatrix {
   int size = 0;
   std::vector<double> value;
   [[nodiscard]] double operator()(int i, int j) const {
-    return value[static_cast<std::size_t>(j) * static_cast<std::size_t>(size) + static_cast<std::size_t>(i)];
+    return value[static_cast<std::size_t>(j) * static_cast<std::size_t>(size) +
+                 static_cast<std::size_t>(i)];
   }
 };
 
@@ -48,7 +49,8 @@ class Compliance {
   void evict(int idle_steps_max);
 
   /// Condenses the tissue and the needles onto `rows`. Cost: O(4 m V) for V vertices in use.
-  const ComplianceMatrix& assemble(const ConstraintRows& rows, std::span<const NeedleMobility> needles);
+  const ComplianceMatrix& assemble(const ConstraintRows& rows,
+                                   std::span<const NeedleMobility> needles);
 
   /// Takes the forces Cᵀ λ of solved rows as the present ones.
   void apply(const ConstraintRows& rows, std::span<const double> multiplier_n);
@@ -76,18 +78,18 @@ class Compliance {
 
   std::shared_ptr<const fem::CholeskyFactor> factor_;
   int capacity_ = 0;
-  int high_water_ = 0;                     ///< slots beyond it were never used
+  int high_water_ = 0;  ///< slots beyond it were never used
   std::uint64_t step_ = 0, walks_ = 0;
   std::vector<std::int32_t> slot_of_vertex_;  ///< −1 where not cached
-  std::vector<fem::PathColumns> columns_;  ///< per slot; vertex −1 where free
-  std::vector<std::uint64_t> last_used_;   ///< per slot
-  std::vector<double> g_;                  ///< 3 capacity × 3 capacity, row-major
-  std::vector<std::uint8_t> known_;        ///< capacity × capacity: pairs present in g_
-  std::vector<int> active_;                ///< slots of the present rows
-  std::vector<int> entry_slot_;            ///< per entry of the present rows
+  std::vector<fem::PathColumns> columns_;     ///< per slot; vertex −1 where free
+  std::vector<std::uint64_t> last_used_;      ///< per slot
+  std::vector<double> g_;                     ///< 3 capacity × 3 capacity, row-major
+  std::vector<std::uint8_t> known_;           ///< capacity × capacity: pairs present in g_
+  std::vector<int> active_;                   ///< slots of the present rows
+  std::vector<int> entry_slot_;               ///< per entry of the present rows
   std::vector<double> row_times_g_;
-  std::vector<Vec3> force_n_;              ///< per slot: Cᵀ λ
-  std::vector<int> loaded_;                ///< slots with a force
+  std::vector<Vec3> force_n_;  ///< per slot: Cᵀ λ
+  std::vector<int> loaded_;    ///< slots with a force
   std::vector<double> forward_;
   ComplianceMatrix w_;
 };

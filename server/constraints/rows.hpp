@@ -45,13 +45,13 @@ struct Row {
   std::int32_t first_entry = 0;
   std::int32_t entry_count = 0;
   Bounds bounds;
-  double target_m = 0.0;              ///< b
-  double compliance_m_per_n = 0.0;    ///< ε ≥ 0
-  std::int32_t needle = -1;           ///< the needle it couples to, or −1
+  double target_m = 0.0;                ///< b
+  double compliance_m_per_n = 0.0;      ///< ε ≥ 0
+  std::int32_t needle = -1;             ///< the needle it couples to, or −1
   Vec6 needle_jacobian = Vec6::Zero();  ///< J
-  double slide = 0.0;                 ///< k
-  std::int32_t tool = -1;             ///< the tool that feels it, or −1
-  Vec6 tool_jacobian = Vec6::Zero();  ///< Jᵗ
+  double slide = 0.0;                   ///< k
+  std::int32_t tool = -1;               ///< the tool that feels it, or −1
+  Vec6 tool_jacobian = Vec6::Zero();    ///< Jᵗ
 };
 
 /// One vertex of one row.

@@ -142,14 +142,16 @@ std::vector<std::int64_t> nodal_order(const LinearSystem& system, cholmod_common
   std::vector<std::int64_t> vertex_of(static_cast<std::size_t>(system.size()));
   for (std::size_t dof = 0; dof < 3 * n; ++dof)
     if (system.free_index[dof] >= 0)
-      vertex_of[static_cast<std::size_t>(system.free_index[dof])] = static_cast<std::int64_t>(dof / 3);
+      vertex_of[static_cast<std::size_t>(system.free_index[dof])] =
+          static_cast<std::int64_t>(dof / 3);
   std::vector<std::int64_t> start{0}, rows, seen(n, -1);
   std::size_t column = 0;
   for (std::size_t v = 0; v < n; ++v) {
     while (column < vertex_of.size() && vertex_of[column] == static_cast<std::int64_t>(v)) {
       for (auto k = system.column_start[column]; k < system.column_start[column + 1]; ++k) {
         const auto w = vertex_of[static_cast<std::size_t>(system.row[static_cast<std::size_t>(k)])];
-        if (w != static_cast<std::int64_t>(v) && seen[static_cast<std::size_t>(w)] != static_cast<std::int64_t>(v)) {
+        if (w != static_cast<std::int64_t>(v) &&
+            seen[static_cast<std::size_t>(w)] != static_cast<std::int64_t>(v)) {
           seen[static_cast<std::size_t>(w)] = static_cast<std::int64_t>(v);
           rows.push_back(w);
         }
@@ -186,12 +188,12 @@ struct CholeskyFactor::Impl {
   cholmod_factor* factor = nullptr;
   std::int64_t size = 0;
   std::int32_t vertex_count = 0;
-  std::vector<std::int64_t> position;       ///< 3n: row of L of a degree of freedom, or −1
-  std::vector<std::int32_t> supernode_of;   ///< per row of L
-  std::vector<std::int32_t> parent;         ///< per supernode, −1 at a root
+  std::vector<std::int64_t> position;         ///< 3n: row of L of a degree of freedom, or −1
+  std::vector<std::int32_t> supernode_of;     ///< per row of L
+  std::vector<std::int32_t> parent;           ///< per supernode, −1 at a root
   std::vector<std::int32_t> columns_to_root;  ///< per supernode, itself included
-  std::vector<std::int32_t> level;          ///< per supernode, 0 at a root
-  mutable std::vector<double> panel;        ///< workspace of `backward`
+  std::vector<std::int32_t> level;            ///< per supernode, 0 at a root
+  mutable std::vector<double> panel;          ///< workspace of `backward`
   std::int64_t panel_rows_max = 0;
   // A copy of K for the condition estimate and residuals.
   std::vector<std::int64_t> column_start, row;
@@ -199,10 +201,18 @@ struct CholeskyFactor::Impl {
 
   ~Impl() { cholmod_l_free_factor(&factor, &common.value); }
 
-  [[nodiscard]] const std::int64_t* super() const { return static_cast<const std::int64_t*>(factor->super); }
-  [[nodiscard]] const std::int64_t* rows_start() const { return static_cast<const std::int64_t*>(factor->pi); }
-  [[nodiscard]] const std::int64_t* values_start() const { return static_cast<const std::int64_t*>(factor->px); }
-  [[nodiscard]] const std::int64_t* rows() const { return static_cast<const std::int64_t*>(factor->s); }
+  [[nodiscard]] const std::int64_t* super() const {
+    return static_cast<const std::int64_t*>(factor->super);
+  }
+  [[nodiscard]] const std::int64_t* rows_start() const {
+    return static_cast<const std::int64_t*>(factor->pi);
+  }
+  [[nodiscard]] const std::int64_t* values_start() const {
+    return static_cast<const std::int64_t*>(factor->px);
+  }
+  [[nodiscard]] const std::int64_t* rows() const {
+    return static_cast<const std::int64_t*>(factor->s);
+  }
   [[nodiscard]] const double* values() const { return static_cast<const double*>(factor->x); }
 
   [[nodiscard]] std::int32_t common_ancestor(std::int32_t a, std::int32_t b) const {
@@ -245,7 +255,8 @@ CholeskyFactor::CholeskyFactor(const LinearSystem& system) : impl_(std::make_uni
   auto order = nodal_order(system, common);
   cholmod_sparse a = view_of(system);
   m.factor = cholmod_l_analyze_p(&a, order.data(), nullptr, 0, common);
-  if (m.factor == nullptr) throw std::runtime_error("CHOLMOD could not analyse the stiffness matrix");
+  if (m.factor == nullptr)
+    throw std::runtime_error("CHOLMOD could not analyse the stiffness matrix");
   cholmod_l_factorize(&a, m.factor, common);
   const auto* permutation = static_cast<const std::int64_t*>(m.factor->Perm);
   if (common->status != CHOLMOD_OK) {
@@ -345,7 +356,8 @@ void CholeskyFactor::walk_path(std::int32_t vertex, PathColumns& columns) const 
   thread_local std::vector<double> below;
   if (static_cast<std::int64_t>(below.size()) < 3 * m.panel_rows_max)
     below.resize(static_cast<std::size_t>(3 * m.panel_rows_max));
-  for (std::int32_t s = columns.first_supernode; s >= 0; s = m.parent[static_cast<std::size_t>(s)]) {
+  for (std::int32_t s = columns.first_supernode; s >= 0;
+       s = m.parent[static_cast<std::size_t>(s)]) {
     const auto i = static_cast<std::size_t>(s);
     const auto column_count = m.super()[i + 1] - m.super()[i];
     const auto row_count = m.rows_start()[i + 1] - m.rows_start()[i];
@@ -360,7 +372,8 @@ void CholeskyFactor::walk_path(std::int32_t vertex, PathColumns& columns) const 
       for (std::int64_t c = 0; c < width; ++c)
         for (std::int64_t axis = 0; axis < 3; ++axis) {
           double sum = own[axis * length + k + c];
-          for (std::int64_t d = 0; d < c; ++d) sum -= panel[(k + d) * row_count + k + c] * y[axis * 4 + d];
+          for (std::int64_t d = 0; d < c; ++d)
+            sum -= panel[(k + d) * row_count + k + c] * y[axis * 4 + d];
           y[axis * 4 + c] = sum / panel[(k + c) * row_count + k + c];
           own[axis * length + k + c] = y[axis * 4 + c];
         }
@@ -368,13 +381,15 @@ void CholeskyFactor::walk_path(std::int32_t vertex, PathColumns& columns) const 
       if (width == 4) {
         subtract_four_columns(panel + k * row_count + after, row_count, y, column_count - after,
                               own + after, length);
-        subtract_four_columns(panel + k * row_count + column_count, row_count, y, rest, below.data(), rest);
+        subtract_four_columns(panel + k * row_count + column_count, row_count, y, rest,
+                              below.data(), rest);
       } else {
         for (std::int64_t c = 0; c < width; ++c) {
           const double one[3] = {y[c], y[4 + c], y[8 + c]};
           subtract_one_column(panel + (k + c) * row_count + after, one, column_count - after,
                               own + after, length);
-          subtract_one_column(panel + (k + c) * row_count + column_count, one, rest, below.data(), rest);
+          subtract_one_column(panel + (k + c) * row_count + column_count, one, rest, below.data(),
+                              rest);
         }
       }
       k = after;
@@ -394,19 +409,22 @@ Mat3 CholeskyFactor::inverse_block(const PathColumns& v, const PathColumns& w) c
   if (ancestor < 0) return block;
   const auto count = impl_->columns_to_root[static_cast<std::size_t>(ancestor)];
   double g[9];
-  dot_three_by_three(v.value.data() + (v.length - count), v.length, w.value.data() + (w.length - count),
-                     w.length, count, g);
+  dot_three_by_three(v.value.data() + (v.length - count), v.length,
+                     w.value.data() + (w.length - count), w.length, count, g);
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) block(i, j) = g[3 * i + j];
   return block;
 }
 
-void CholeskyFactor::accumulate(const PathColumns& columns, const Vec3& force_n, std::span<double> y) const {
+void CholeskyFactor::accumulate(const PathColumns& columns, const Vec3& force_n,
+                                std::span<double> y) const {
   const Impl& m = *impl_;
-  for (std::int32_t s = columns.first_supernode; s >= 0; s = m.parent[static_cast<std::size_t>(s)]) {
+  for (std::int32_t s = columns.first_supernode; s >= 0;
+       s = m.parent[static_cast<std::size_t>(s)]) {
     const auto i = static_cast<std::size_t>(s);
-    add_three_columns(columns.value.data() + (columns.length - m.columns_to_root[i]), columns.length,
-                      force_n.data(), m.super()[i + 1] - m.super()[i], y.data() + m.super()[i]);
+    add_three_columns(columns.value.data() + (columns.length - m.columns_to_root[i]),
+                      columns.length, force_n.data(), m.super()[i + 1] - m.super()[i],
+                      y.data() + m.super()[i]);
   }
 }
 
@@ -440,7 +458,8 @@ void CholeskyFactor::backward(std::span<double> y, std::span<const double> offse
       }
       for (std::int64_t c = width; c-- > 0;) {
         double sum = own[from + c] - d[c] - e[c];
-        for (std::int64_t b = c + 1; b < width; ++b) sum -= panel[(from + c) * row_count + from + b] * own[from + b];
+        for (std::int64_t b = c + 1; b < width; ++b)
+          sum -= panel[(from + c) * row_count + from + b] * own[from + b];
         own[from + c] = sum / panel[(from + c) * row_count + from + c];
       }
       k = from;

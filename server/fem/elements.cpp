@@ -22,16 +22,16 @@ Mat3 stiffness_block(const TetShape& shape, const Material& material, int a, int
   const Vec3& ga = shape.gradient[static_cast<std::size_t>(a)];
   const Vec3& gb = shape.gradient[static_cast<std::size_t>(b)];
   const double lambda = material.lambda_pa(), mu = material.mu_pa();
-  return shape.volume_m3 *
-         (lambda * ga * gb.transpose() + mu * gb * ga.transpose() + mu * ga.dot(gb) * Mat3::Identity());
+  return shape.volume_m3 * (lambda * ga * gb.transpose() + mu * gb * ga.transpose() +
+                            mu * ga.dot(gb) * Mat3::Identity());
 }
 
 Vec6 tet_stress_pa(const TetShape& shape, const Material& material, const std::array<Vec3, 4>& u) {
   Mat3 gradient = Mat3::Zero();
   for (std::size_t a = 0; a < 4; ++a) gradient += u[a] * shape.gradient[a].transpose();
   const Mat3 strain = 0.5 * (gradient + gradient.transpose());
-  const Mat3 stress = material.lambda_pa() * strain.trace() * Mat3::Identity() +
-                      2.0 * material.mu_pa() * strain;
+  const Mat3 stress =
+      material.lambda_pa() * strain.trace() * Mat3::Identity() + 2.0 * material.mu_pa() * strain;
   Vec6 result;
   result << stress(0, 0), stress(1, 1), stress(2, 2), stress(0, 1), stress(1, 2), stress(2, 0);
   return result;

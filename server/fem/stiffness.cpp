@@ -39,7 +39,8 @@ LinearSystem assemble(const Model& model) {
   system.right_hand_side_n.assign(static_cast<std::size_t>(free_count), 0.0);
   for (std::size_t dof = 0; dof < 3 * n; ++dof)
     if (system.free_index[dof] >= 0)
-      system.right_hand_side_n[static_cast<std::size_t>(system.free_index[dof])] = model.load_n[dof];
+      system.right_hand_side_n[static_cast<std::size_t>(system.free_index[dof])] =
+          model.load_n[dof];
 
   const auto neighbours = vertex_neighbours(model);
   system.column_start.push_back(0);
@@ -62,7 +63,8 @@ LinearSystem assemble(const Model& model) {
     const Material& material = model.materials[static_cast<std::size_t>(model.material_of_tet[t])];
     for (std::size_t a = 0; a < 4; ++a)
       for (std::size_t b = 0; b < 4; ++b) {
-        const Mat3 block = stiffness_block(shape, material, static_cast<int>(a), static_cast<int>(b));
+        const Mat3 block =
+            stiffness_block(shape, material, static_cast<int>(a), static_cast<int>(b));
         for (std::size_t i = 0; i < 3; ++i) {
           const std::size_t row_dof = 3 * static_cast<std::size_t>(tet[a]) + i;
           const std::int32_t row = system.free_index[row_dof];
@@ -72,10 +74,13 @@ LinearSystem assemble(const Model& model) {
             const std::int32_t column = system.free_index[column_dof];
             const double k = block(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
             if (column < 0) {
-              system.right_hand_side_n[static_cast<std::size_t>(row)] -= k * model.prescribed_m[column_dof];
+              system.right_hand_side_n[static_cast<std::size_t>(row)] -=
+                  k * model.prescribed_m[column_dof];
             } else if (row >= column) {
-              const auto begin = system.row.begin() + system.column_start[static_cast<std::size_t>(column)];
-              const auto end = system.row.begin() + system.column_start[static_cast<std::size_t>(column) + 1];
+              const auto begin =
+                  system.row.begin() + system.column_start[static_cast<std::size_t>(column)];
+              const auto end =
+                  system.row.begin() + system.column_start[static_cast<std::size_t>(column) + 1];
               const auto at = std::lower_bound(begin, end, row);
               system.value[static_cast<std::size_t>(at - system.row.begin())] += k;
             }

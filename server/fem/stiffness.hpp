@@ -14,8 +14,8 @@ namespace sutured::fem {
 ///
 ///   n vertices, degree of freedom 3 v + axis
 struct Model {
-  std::vector<Vec3> vertices_m;               ///< n, at rest
-  std::vector<Tet> tets;                      ///< positively oriented
+  std::vector<Vec3> vertices_m;  ///< n, at rest
+  std::vector<Tet> tets;         ///< positively oriented
   std::vector<Material> materials;
   std::vector<std::int32_t> material_of_tet;  ///< one per tet, into `materials`
   std::vector<std::uint8_t> prescribed;       ///< 3n, 1 where the displacement is imposed
@@ -33,7 +33,7 @@ struct LinearSystem {
   std::vector<std::int32_t> free_index;  ///< 3n: its row in K, or −1 where prescribed
   std::vector<std::int64_t> column_start;
   std::vector<std::int64_t> row;
-  std::vector<double> value;             ///< N/m
+  std::vector<double> value;  ///< N/m
   std::vector<double> right_hand_side_n;
   [[nodiscard]] std::int64_t size() const {
     return static_cast<std::int64_t>(right_hand_side_n.size());
@@ -45,7 +45,8 @@ struct LinearSystem {
 
 /// Computes K u over all degrees of freedom (3n), element by element: the internal forces,
 /// whose values at prescribed degrees of freedom are the reactions (plus their load).
-[[nodiscard]] std::vector<double> internal_forces_n(const Model& model, std::span<const double> u_m);
+[[nodiscard]] std::vector<double> internal_forces_n(const Model& model,
+                                                    std::span<const double> u_m);
 
 /// Adds the forces of gravity, ρ V g / 4 per corner, to `load_n` (3n). One density per material.
 void add_gravity(const Model& model, std::span<const double> density_kg_per_m3,

@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "constraints/compliance.hpp"
+
+#include <gtest/gtest.h>
+
+#include <random>
+
+#include "support/block_mesh.hpp"
+#include "support/fem_model.hpp"
+
+namespace sutured::constraints {
+namespace {
+
+class ComplianceOfABlock : public ::testing::Test {
+ protected:
+  ComplianceOfABlock() {
+    auto mesh = testing::block_mesh(4, 4, 4);
+    fem::Model model = testing::model_of(mesh, {1000.0, 0.45});
+    testing::prescribe(
+        model, [](const Vec3& x) { return x[2] < 1e-9; },
+        [](const Vec3&) { return Vec3(0, 0, 0); });
+    system_ = fem::assemble(model);
+    inverse_ = testing::dense_inverse(system_);
+    factor_ = std::make_shared<fem::CholeskyFactor>(system_);
+  }
+
+  /// `count` rows on random vertices (fixed ones too), some coupled to a needle.
+  ConstraintRows random_rows(int count) {
+    ConstraintRows rows;
+    for (int i = 0; i < count; ++i) {
+      Row& row = rows.add(Bounds::bilateral(), uniform_(random_), 1e-5 * (i % 3));
+      if (i % 4 == 0) {
+        row.needle = 0;
+        for (double& j : row.needle_jacobian) j = uniform_(random_);
+        row.slide = uniform_(random_);
+      }
+      for (int e = 0; e < 1 + i % 5; ++e)
+        rows.touch(std::uniform_int_distribution<std::int32_t>(0, 124)(random_),
+                   Vec3(uniform_(random_), uniform_(random_), uniform_(random_)));
+    }
+    return rows;
+  }
+
+  Eigen::MatrixXd dense_rows(const ConstraintRows& rows) const {
+    Eigen::MatrixXd c = Eigen::MatrixXd::Zero(rows.size(), inverse_.rows());
+    for (int i = 0; i < rows.size(); ++i)
+      for (const Entry& entry : rows.entries(rows[i]))
+        c.block<1, 3>(i, 3 * entry.vertex) += entry.coefficient.transpose();
+    return c;
+  }
+
+  fem::LinearSystem system_;
+  Eigen::MatrixXd inverse_;
+  std::shared_ptr<const fem::CholeskyFactor> factor_;
+  std::mt19937_64 random_{17};
+  std::uniform_real_distribution<double> uniform_{-1.0, 1.0};
+};
+
+TEST_F(ComplianceOfABlock, MatchesTheDenseInverse) {
+  Compliance compliance(factor_);
+  NeedleMobility needle;
+  needle.mobility.setRandom();
+  needle.mobility = (needle.mobility * needle.mobility.transpose()).eval();
+  needle.slide_compliance_m_per_n = 0.7;
+  for (int trial = 0; trial < 5; ++trial) {
+    const ConstraintRows rows = random_rows(40);
+    const Eigen::MatrixXd c = dense_rows(rows);
+    Eigen::MatrixXd expected = c * inverse_ * c.transpose();
+    for (int i = 0; i < rows.size(); ++i) {
+      expected(i, i) += rows[i].compliance_m_per_n;
+      for (int j = 0; j < rows.size(); ++j)
+        if (rows[i].needle == 0 && rows[j].needle == 0)
+          expected(i, j) += rows[i].needle_jacobian.dot(needle.mobility * rows[j].needle_jacobian) +
+                            0.7 * rows[i].slide * rows[j].slide;
+    }
+    const ComplianceMatrix& w = compliance.assemble(rows, {&needle, 1});
+    const Eigen::Map<const Eigen::MatrixXd> got(w.value.data(), w.size, w.size);
+    EXPECT_LT((got - expected).norm(), 1e-9 * expected.norm());
+    EXPECT_EQ((got - got.transpose()).cwiseAbs().maxCoeff(), 0.0);
+    EXPECT_GT(Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(got).eigenvalues()[0],
+              -1e-12 * expected.norm());
+  }
+}
+
+TEST_F(ComplianceOfABlock, DisplacementsFollowTheForcesAtOneVertexAndAtAll) {
+  Compliance compliance(factor_);
+  const ConstraintRows rows = random_rows(25);
+  compliance.assemble(rows, std::vector<NeedleMobility>(1));
+  std::vector<double> lambda(25);
+  for (double& l : lambda) l = uniform_(random_);
+  compliance.apply(rows, lambda);
+  const Eigen::VectorXd expected =
+      inverse_ * dense_rows(rows).transpose() * Eigen::Map<Eigen::VectorXd>(lambda.data(), 25);
+  std::vector<double> u(static_cast<std::size_t>(inverse_.rows()));
+  compliance.displacements_m(std::vector<double>(u.size(), 0.0), u);
+  const double scale = expected.cwiseAbs().maxCoeff();
+  for (std::int32_t v = 0; v < 125; ++v) {
+    const Vec3 at(u[static_cast<std::size_t>(3 * v)], u[static_cast<std::size_t>(3 * v + 1)],
+                  u[static_cast<std::size_t>(3 * v + 2)]);
+    EXPECT_LT((at - expected.segment<3>(3 * v)).norm(), 1e-11 * scale);
+    EXPECT_LT((compliance.displacement_m(v) - expected.segment<3>(3 * v)).norm(), 1e-11 * scale);
+  }
+}
+
+TEST_F(ComplianceOfABlock, WalksAVertexOnceAndForgetsItWhenIdle) {
+  Compliance compliance(factor_);
+  ConstraintRows rows;
+  rows.add(Bounds::bilateral(), 0.0, 0.0);
+  rows.touch(60, Vec3::UnitX());
+  for (int step = 0; step < 5; ++step) compliance.assemble(rows, {});
+  EXPECT_EQ(compliance.walks(), 1U);
+  ConstraintRows others;
+  others.add(Bounds::bilateral(), 0.0, 0.0);
+  others.touch(100, Vec3::UnitY());
+  for (int step = 0; step < 20; ++step) compliance.assemble(others, {});
+  compliance.evict(10);
+  EXPECT_EQ(compliance.cached_vertices(), 1);
+  const ComplianceMatrix& w = compliance.assemble(rows, {});
+  EXPECT_EQ(compliance.walks(), 3U);
+  EXPECT_NEAR(w(0, 0), inverse_(180, 180), 1e-12);
+}
+
+}  // namespace
+}  // namespace sutured::constraints
