@@ -28,11 +28,10 @@ namespace sutured::haptics {
 ///
 /// "One writer" and "one reader" are roles: different threads may play them one after
 /// the other if something else orders them (see ToolChannel).
-/// Allocates: nothing. Cost: one copy in, one exchange a side.
+/// Values whose assignment allocates are filled in place (`back`), where they keep their
+/// memory. Allocates: nothing itself. Cost: one copy in, one exchange a side.
 template <class T>
 class Snapshot {
-  static_assert(std::is_trivially_copyable_v<T>, "a snapshot holds plain values");
-
  public:
   Snapshot() = default;
   Snapshot(const Snapshot&) = delete;
@@ -40,6 +39,7 @@ class Snapshot {
 
   /// Makes `value` the latest. Writer only.
   void publish(const T& value) noexcept {
+    static_assert(std::is_trivially_copyable_v<T>, "fill back() instead");
     places_[back_] = value;
     publish();
   }
@@ -64,6 +64,12 @@ class Snapshot {
   /// The value of the last `update`, a default-made one before the first. It stays as
   /// it is until the next `update`. Reader only.
   [[nodiscard]] const T& front() const noexcept { return places_[front_]; }
+
+  /// Calls `prepare(T&)` on all three places, before either side has begun.
+  template <class Prepare>
+  void for_each_place(Prepare&& prepare) {
+    for (T& place : places_) prepare(place);
+  }
 
  private:
   static constexpr std::uint8_t kIndex = 3, kNew = 4;

@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "haptics/simulation_loop.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <exception>
+#include <utility>
+
+#include "haptics/model_builder.hpp"
+#include "haptics/realtime.hpp"
+#include "haptics/supervisor.hpp"
+#include "protocol/types.hpp"
+
+namespace sutured::haptics {
+
+SimulationLoop::SimulationLoop(simulation::Simulation simulation,
+                               std::span<ToolChannel* const> channels, Options options)
+    : simulation_(std::move(simulation)),
+      channels_(channels.begin(), channels.end()),
+      options_(std::move(options)),
+      period_ns_(std::llround(1e9 / options_.rate_hz)),
+      display_period_ns_(std::llround(1e9 / options_.display_rate_hz)),
+      inputs_(channels.size()),
+      stress_pa_(simulation_.rest_positions_m().size()) {
+  for (std::size_t i = 0; i < channels_.size(); ++i)
+    models_.push_back(std::make_unique<Snapshot<suture::HapticModel>>());
+  frames_.for_each_place([this](DisplayFrame& frame) {
+    for (const simulation::Body& body : simulation_.bodies()) {
+      frame.position_m.emplace_back(3 * body.surface_vertices.size());
+      frame.von_mises_pa.emplace_back(body.surface_vertices.size());
+    }
+    frame.needles.resize(simulation_.needles().size());
+  });
+  begin_epoch();
+  thread_ = std::thread([this] { run(); });
+}
+
+SimulationLoop::~SimulationLoop() { stop(); }
+
+void SimulationLoop::stop() noexcept {
+  stop_.store(true);
+  if (thread_.joinable()) thread_.join();
+}
+
+void SimulationLoop::pause(bool paused) noexcept {
+  paused_.store(paused, std::memory_order_relaxed);
+  for (ToolChannel* channel : channels_) channel->set_paused(paused);
+}
+
+std::string SimulationLoop::failure() const {
+  return failed_.load(std::memory_order_acquire) ? failure_ : std::string();
+}
+
+const suture::HapticModel* SimulationLoop::next_model(std::size_t tool) noexcept {
+  return models_[tool]->update() ? &models_[tool]->front() : nullptr;
+}
+
+void SimulationLoop::begin_epoch() {
+  // The time makes an epoch unique over restarts as well.
+  const auto now = static_cast<std::uint64_t>(suture::wall_clock_ns());
+  epoch_.store(std::max(now, epoch_.load() + 1), std::memory_order_release);
+}
+
+void SimulationLoop::run() noexcept {
+  name_thread("simulation");
+  std::int64_t due_ns = suture::monotonic_ns() + period_ns_;
+  std::uint64_t beats = 1;  // of the clock, since the last step
+  try {
+    while (!stop_.load(std::memory_order_relaxed)) {
+      sleep_until(due_ns);
+      if (const auto asked = resets_asked_.load(std::memory_order_relaxed); asked != resets_done_) {
+        resets_done_ = asked;
+        simulation_.reset();
+        begin_epoch();
+        shown_ns_ = 0;
+      }
+      if (!paused())
+        step(suture::monotonic_ns(),
+             static_cast<double>(beats) * static_cast<double>(period_ns_) * 1e-9);
+      const NextTick next = next_tick(due_ns, suture::monotonic_ns(), period_ns_);
+      overruns_.fetch_add(next.missed, std::memory_order_relaxed);
+      due_ns = next.at_ns;
+      beats = next.missed + 1;
+    }
+  } catch (const std::exception& error) {
+    failure_ = error.what();
+    failed_.store(true, std::memory_order_release);
+  }
+}
+
+void SimulationLoop::step(std::int64_t now_ns, double dt_s) {
+  for (std::size_t i = 0; i < channels_.size(); ++i) {
+    const ToolTarget& target = channels_[i]->target();
+    simulation::ToolInput& input = inputs_[i];
+    input.present = target.present;
+    const auto& p = target.pose.position_m;
+    const auto& q = target.pose.orientation_xyzw;
+    input.position_m = {p[0], p[1], p[2]};
+    input.orientation = Eigen::Quaterniond(q[3], q[0], q[1], q[2]).normalized();
+    input.jaw = target.jaw;
+  }
+  simulation_.step(inputs_, dt_s);
+  steps_.fetch_add(1, std::memory_order_relaxed);
+  publish_models(now_ns);
+  step_times_.record(suture::monotonic_ns() - now_ns);
+  if (options_.models_published) options_.models_published();
+  publish_events();
+  if (now_ns - shown_ns_ >= display_period_ns_) {
+    shown_ns_ = now_ns;
+    publish_frame();
+  }
+}
+
+void SimulationLoop::publish_models(std::int64_t taken_ns) {
+  const std::int64_t stamp_ns = suture::wall_clock_ns() - (suture::monotonic_ns() - taken_ns);
+  const auto responses = simulation_.responses();
+  for (std::size_t i = 0; i < channels_.size(); ++i) {
+    model_.epoch = epoch();
+    model_.sequence = simulation_.report().step;
+    model_.stamp_ns = stamp_ns;
+    model_.period_ns = period_ns_;
+    model_.stale_after_ns = model_stale_after_ns(period_ns_);
+    fill_model(responses[i], model_);
+    channels_[i]->publish_model(model_, taken_ns, suture::monotonic_ns());
+    models_[i]->publish(model_);
+  }
+}
+
+void SimulationLoop::publish_events() {
+  for (const simulation::Event& event : simulation_.events())
+    events_.push({epoch(), simulation_.report().step, event});
+}
+
+void SimulationLoop::publish_frame() {
+  simulation_.update_displacements();
+  simulation_.vertex_stress_pa(stress_pa_);
+  DisplayFrame& frame = frames_.back();
+  frame.epoch = epoch();
+  frame.step = simulation_.report().step;
+  frame.stamp_ns = suture::wall_clock_ns();
+  frame.time_s = simulation_.time_s();
+  frame.report = simulation_.report();
+  const auto positions = simulation_.positions_m();
+  const auto bodies = simulation_.bodies();
+  for (std::size_t b = 0; b < bodies.size(); ++b) {
+    const auto& vertices = bodies[b].surface_vertices;
+    for (std::size_t v = 0; v < vertices.size(); ++v) {
+      const std::size_t global = bodies[b].first_vertex + vertices[v];
+      for (int k = 0; k < 3; ++k)
+        frame.position_m[b][3 * v + k] = static_cast<float>(positions[global][k]);
+      frame.von_mises_pa[b][v] = static_cast<float>(stress_pa_[global]);
+    }
+  }
+  std::copy(simulation_.needles().begin(), simulation_.needles().end(), frame.needles.begin());
+  frames_.publish();
+}
+
+}  // namespace sutured::haptics

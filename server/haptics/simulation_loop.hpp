@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "haptics/bounded_queue.hpp"
+#include "haptics/latency_histogram.hpp"
+#include "haptics/snapshot.hpp"
+#include "haptics/tool_channel.hpp"
+#include "simulation/simulation.hpp"
+
+namespace sutured::haptics {
+
+/// What viewers see of one step.
+struct DisplayFrame {
+  std::uint64_t epoch = 0;
+  std::uint64_t step = 0;
+  std::int64_t stamp_ns = 0;  ///< Unix epoch
+  double time_s = 0.0;
+  simulation::StepReport report;
+  std::vector<std::vector<float>> position_m;    ///< per body, 3 per surface vertex, world
+  std::vector<std::vector<float>> von_mises_pa;  ///< per body, 1 per surface vertex
+  std::vector<simulation::NeedleState> needles;
+};
+
+/// Something that happened, and in which world.
+struct LoopEvent {
+  std::uint64_t epoch = 0;
+  std::uint64_t step = 0;
+  simulation::Event event;
+};
+
+/// Steps a simulation by the clock, on a thread of its own.
+///
+/// Each period it takes the tools' latest targets, steps, publishes every tool's model,
+/// then, at the display rate, brings the displacements up to date and publishes a frame.
+/// Forces never wait for what is shown. A step that takes longer than its period delays
+/// the next one to the next beat of the clock; the missed beats are counted as overruns
+/// and their time is simulated with the next step.
+///
+/// Threads: construction and `stop` the owner; `frame` and `events` one reader; the
+/// others any.
+class SimulationLoop {
+ public:
+  struct Options {
+    double rate_hz = 250.0;
+    double display_rate_hz = 60.0;
+    /// Called on the simulation's thread after each step's models are published: short.
+    std::function<void()> models_published;
+  };
+
+  /// Starts stepping. `channels`: one per tool of the scene, in order; they outlive it.
+  SimulationLoop(simulation::Simulation simulation, std::span<ToolChannel* const> channels,
+                 Options options);
+  ~SimulationLoop();
+  SimulationLoop(const SimulationLoop&) = delete;
+  SimulationLoop& operator=(const SimulationLoop&) = delete;
+
+  /// Ends after the present step. Channels then find their models stale.
+  void stop() noexcept;
+
+  void pause(bool paused) noexcept;
+  [[nodiscard]] bool paused() const noexcept { return paused_.load(std::memory_order_relaxed); }
+  /// Goes back to the start before the next step; `epoch` changes when that is done.
+  void reset() noexcept { resets_asked_.fetch_add(1, std::memory_order_relaxed); }
+  [[nodiscard]] std::uint64_t epoch() const noexcept {
+    return epoch_.load(std::memory_order_acquire);
+  }
+
+  /// Moves to the newest frame; null if there is none newer.
+  const DisplayFrame* next_frame() noexcept {
+    return frames_.update() ? &frames_.front() : nullptr;
+  }
+  /// The last step's model of `tool`, for publishing; null if there is none newer.
+  const suture::HapticModel* next_model(std::size_t tool) noexcept;
+  bool next_event(LoopEvent& event) noexcept { return events_.pop(event); }
+  [[nodiscard]] std::uint64_t events_dropped() const noexcept { return events_.dropped(); }
+
+  /// Returns how long steps took (without display) since the last call. One caller.
+  LatencySummary take_step_times() noexcept { return step_times_.take(); }
+  [[nodiscard]] std::uint64_t steps() const noexcept {
+    return steps_.load(std::memory_order_relaxed);
+  }
+  [[nodiscard]] std::uint64_t overruns() const noexcept {
+    return overruns_.load(std::memory_order_relaxed);
+  }
+  /// Returns why the simulation ended by itself; empty while it runs. The channels have
+  /// faded by then; there is nothing to resume.
+  [[nodiscard]] std::string failure() const;
+
+  /// Bodies and rest positions never change: any thread, any time.
+  [[nodiscard]] std::span<const simulation::Body> bodies() const { return simulation_.bodies(); }
+  [[nodiscard]] std::span<const geometry::Vec3> rest_positions_m() const {
+    return simulation_.rest_positions_m();
+  }
+  [[nodiscard]] std::size_t tet_count() const { return simulation_.tets().size(); }
+
+ private:
+  void run() noexcept;
+  void begin_epoch();
+  void step(std::int64_t now_ns, double dt_s);
+  void publish_models(std::int64_t taken_ns);
+  void publish_events();
+  void publish_frame();
+
+  simulation::Simulation simulation_;
+  std::vector<ToolChannel*> channels_;
+  Options options_;
+  std::int64_t period_ns_, display_period_ns_;
+
+  std::vector<simulation::ToolInput> inputs_;
+  std::vector<std::unique_ptr<Snapshot<suture::HapticModel>>> models_;
+  suture::HapticModel model_;
+  Snapshot<DisplayFrame> frames_;
+  BoundedQueue<LoopEvent, 1024> events_;
+  std::vector<double> stress_pa_;
+  std::uint64_t resets_done_ = 0;
+  std::int64_t shown_ns_ = 0;
+
+  LatencyHistogram step_times_;
+  std::atomic<std::uint64_t> epoch_{0}, steps_{0}, overruns_{0}, resets_asked_{0};
+  std::atomic<bool> paused_{false}, stop_{false}, failed_{false};
+  std::string failure_;  // written before failed_ is set
+  std::thread thread_;
+};
+
+}  // namespace sutured::haptics
