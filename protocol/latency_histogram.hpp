@@ -51,6 +51,15 @@ class LatencyHistogram {
     return max_ns();
   }
 
+  /// Returns how many durations fell into bucket `index` < kBuckets since the beginning.
+  [[nodiscard]] std::uint32_t count_in(std::size_t index) const noexcept {
+    return counts_[index].load(std::memory_order_relaxed);
+  }
+  /// Returns the longest duration of that bucket (ns).
+  [[nodiscard]] static constexpr std::uint64_t bucket_end_ns(std::size_t index) noexcept {
+    return upper_bound(index);
+  }
+
   /// Forgets everything. The recording thread only.
   void clear() noexcept {
     for (auto& count : counts_) count.store(0, std::memory_order_relaxed);
@@ -61,6 +70,10 @@ class LatencyHistogram {
   static constexpr unsigned kBits = 6;     // 64 buckets a power of two
   static constexpr unsigned kTopBit = 37;  // the last power of two: 137 s
 
+ public:
+  static constexpr std::size_t kBuckets = (kTopBit - kBits + 2) << kBits;
+
+ private:
   static constexpr std::size_t bucket(std::uint64_t value) noexcept {
     if (value < (1U << kBits)) return static_cast<std::size_t>(value);
     constexpr std::uint64_t kLimit = (std::uint64_t{1} << (kTopBit + 1)) - 1;
@@ -75,7 +88,7 @@ class LatencyHistogram {
     return ((mantissa + 1) << shift) - 1;
   }
 
-  std::array<std::atomic<std::uint32_t>, ((kTopBit - kBits + 2) << kBits)> counts_{};
+  std::array<std::atomic<std::uint32_t>, kBuckets> counts_{};
   std::atomic<std::uint64_t> max_{0};
 };
 

@@ -23,7 +23,7 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
       inputs_(channels.size()),
       stress_pa_(simulation_.rest_positions_m().size()) {
   for (std::size_t i = 0; i < channels_.size(); ++i)
-    models_.push_back(std::make_unique<Snapshot<suture::HapticModel>>());
+    models_.push_back(std::make_unique<suture::Snapshot<suture::HapticModel>>());
   frames_.for_each_place([this](DisplayFrame& frame) {
     for (const simulation::Body& body : simulation_.bodies()) {
       frame.position_m.emplace_back(3 * body.surface_vertices.size());

@@ -11,9 +11,9 @@
 #include <vector>
 
 #include "haptics/bounded_queue.hpp"
-#include "haptics/latency_histogram.hpp"
-#include "haptics/snapshot.hpp"
+#include "haptics/period_latency.hpp"
 #include "haptics/tool_channel.hpp"
+#include "protocol/snapshot.hpp"
 #include "simulation/simulation.hpp"
 
 namespace sutured::haptics {
@@ -116,15 +116,15 @@ class SimulationLoop {
   std::int64_t period_ns_, display_period_ns_;
 
   std::vector<simulation::ToolInput> inputs_;
-  std::vector<std::unique_ptr<Snapshot<suture::HapticModel>>> models_;
+  std::vector<std::unique_ptr<suture::Snapshot<suture::HapticModel>>> models_;
   suture::HapticModel model_;
-  Snapshot<DisplayFrame> frames_;
+  suture::Snapshot<DisplayFrame> frames_;
   BoundedQueue<LoopEvent, 1024> events_;
   std::vector<double> stress_pa_;
   std::uint64_t resets_done_ = 0;
   std::int64_t shown_ns_ = 0;
 
-  LatencyHistogram step_times_;
+  PeriodLatency step_times_;
   std::atomic<std::uint64_t> epoch_{0}, steps_{0}, overruns_{0}, resets_asked_{0};
   std::atomic<bool> paused_{false}, stop_{false}, failed_{false};
   std::string failure_;  // written before failed_ is set

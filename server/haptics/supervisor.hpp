@@ -6,7 +6,7 @@
 #include <functional>
 #include <thread>
 
-#include "haptics/latency_histogram.hpp"
+#include "haptics/period_latency.hpp"
 
 namespace sutured::haptics {
 
@@ -55,7 +55,7 @@ class Supervisor {
   void run() noexcept;
 
   std::function<void(std::int64_t)> tick_;
-  LatencyHistogram wakeup_;
+  PeriodLatency wakeup_;
   std::atomic<std::uint64_t> missed_{0};
   std::atomic<bool> realtime_{false}, stop_{false};
   std::thread thread_;

@@ -33,10 +33,10 @@
 #include <cstdint>
 #include <optional>
 
-#include "haptics/snapshot.hpp"
 #include "haptics/workspace.hpp"
 #include "protocol/force_shaping.hpp"
 #include "protocol/haptic_model.hpp"
+#include "protocol/snapshot.hpp"
 
 namespace sutured::scene {
 struct Tool;
@@ -264,10 +264,10 @@ class ToolChannel {
     PoseSample sample;
     std::int64_t arrived_ns = 0;
   };
-  Snapshot<Arrival> pending_;      // receive thread → holder
-  Snapshot<StampedModel> models_;  // simulation → holder
-  Snapshot<ToolTarget> targets_;   // holder → simulation
-  Snapshot<ToolReport> reports_;   // holder → whoever looks
+  suture::Snapshot<Arrival> pending_;      // receive thread → holder
+  suture::Snapshot<StampedModel> models_;  // simulation → holder
+  suture::Snapshot<ToolTarget> targets_;   // holder → simulation
+  suture::Snapshot<ToolReport> reports_;   // holder → whoever looks
 
   // Receive thread only.
   std::uint64_t admitted_writer_ = 0, admitted_sequence_ = 0;

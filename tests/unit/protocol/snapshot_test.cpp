@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-#include "haptics/snapshot.hpp"
+#include "protocol/snapshot.hpp"
 
 #include <gtest/gtest.h>
 
 #include <cstdint>
 #include <thread>
 
-namespace sutured::haptics {
+namespace suture {
 namespace {
 
 struct Value {
@@ -60,4 +60,4 @@ TEST(Snapshot, IsNeverTornNorGoesBackBetweenTwoThreads) {
 }
 
 }  // namespace
-}  // namespace sutured::haptics
+}  // namespace suture
