@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The command line of the server. Each subcommand lives in commands/.
+#include <CLI/CLI.hpp>
+#include <exception>
+#include <iostream>
+
+#include "commands/check_command.hpp"
+
+int main(int argc, char** argv) {
+  CLI::App app("sutured: a haptic server for suturing simulation", "sutured");
+  app.set_version_flag("--version", SUTURED_VERSION);
+  app.require_subcommand(1);
+  app.footer("Help on one command: sutured COMMAND --help");
+
+  int exit_code = 0;
+  sutured::commands::add_check_command(app, exit_code);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& help) {
+    return app.exit(help);
+  } catch (const CLI::ParseError& error) {
+    app.exit(error);
+    return 2;
+  } catch (const std::exception& error) {
+    std::cerr << "sutured: " << error.what() << '\n';
+    return 1;
+  }
+  return exit_code;
+}
