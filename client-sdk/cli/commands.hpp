@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+// The subcommands of `suture`. Each returns an exit code, and throws suture::Error for
+// what ends it early.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <string>
+
+namespace suture::cli {
+
+/// Exit codes, the same for all subcommands; `--help` lists them.
+enum ExitCode : int {
+  kDone = 0,
+  kFailed = 1,
+  kUsage = 2,  ///< arguments or an input file
+  kNoServer = 3,
+  kVersion = 4,
+  kTool = 5,  ///< unknown, or held by another device
+  kPermission = 6,
+  kInterrupted = 130,
+};
+
+/// Where the session is; options shared by all subcommands that need one.
+struct SessionArguments {
+  std::uint32_t domain = 0;
+  std::string session;
+  double timeout_s = 3.0;
+};
+
+struct DeviceArguments {
+  SessionArguments session;
+  std::string tool;
+  std::string surgeon;
+  std::string render = "server";
+  std::string log;
+  std::string plot;
+  std::string summary;
+  double rate_hz = 1000.0;
+  bool loop = false;
+  bool quiet = false;
+};
+
+struct TopArguments {
+  SessionArguments session;
+  bool once = false;
+};
+
+struct DoctorArguments {
+  std::uint32_t domain = 0;
+  double seconds = 2.0;
+  bool network = true;
+};
+
+struct CommandArguments {
+  SessionArguments session;
+  std::string kind;
+  std::string tool;
+};
+
+int run_device(const DeviceArguments& arguments);
+int run_top(const TopArguments& arguments);
+int run_doctor(const DoctorArguments& arguments);
+int run_command(const CommandArguments& arguments);
+
+/// Set by SIGINT and SIGTERM.
+extern std::atomic<bool> interrupted;
+
+/// Says whether standard output is a terminal.
+[[nodiscard]] bool on_terminal() noexcept;
+
+}  // namespace suture::cli

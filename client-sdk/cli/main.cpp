@@ -1,0 +1,154 @@
+// SPDX-License-Identifier: Apache-2.0
+// `suture`: a device without hardware, a live table, a look at the machine, commands.
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <csignal>
+#include <cstdio>
+
+#include "commands.hpp"
+#include "suture/error.hpp"
+
+namespace suture::cli {
+
+std::atomic<bool> interrupted{false};
+
+bool on_terminal() noexcept { return isatty(STDOUT_FILENO) == 1; }
+
+namespace {
+
+constexpr const char* kExitCodes =
+    "Exit codes:\n"
+    "  0 done · 1 failed · 2 arguments or an input file · 3 no server · 4 another protocol\n"
+    "  version · 5 tool unknown or in use · 6 not permitted · 130 interrupted";
+
+void on_signal(int /*signal*/) { interrupted = true; }
+
+int exit_code_of(ErrorCode code) {
+  switch (code) {
+    case ErrorCode::kNoServer:
+      return kNoServer;
+    case ErrorCode::kVersionMismatch:
+      return kVersion;
+    case ErrorCode::kUnknownTool:
+    case ErrorCode::kToolInUse:
+      return kTool;
+    case ErrorCode::kPermissionDenied:
+      return kPermission;
+    case ErrorCode::kBadInput:
+      return kUsage;
+    case ErrorCode::kServerRunning:
+    case ErrorCode::kNetwork:
+    case ErrorCode::kIncompatibleQos:
+      return kFailed;
+  }
+  return kFailed;
+}
+
+void add_session_options(CLI::App& command, SessionArguments& session) {
+  command.add_option("--domain", session.domain, "DDS domain, even; meshes use the next one")
+      ->capture_default_str();
+  command.add_option("--session", session.session, "session name (a DDS partition)");
+  command.add_option("--timeout", session.timeout_s, "seconds to wait for the server")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+}
+
+int run(int argc, char** argv) {
+  CLI::App app("suture: the client's tools for a sutured server", "suture");
+  app.set_version_flag("--version", SUTURE_VERSION);
+  app.require_subcommand(1);
+  app.footer(kExitCodes);
+
+  DeviceArguments device;
+  CLI::App* device_command = app.add_subcommand(
+      "device", "Play a surgeon file as a haptic device would, and feel the forces");
+  add_session_options(*device_command, device.session);
+  device_command->add_option("--tool", device.tool, "tool of the scene to hold")->required();
+  device_command
+      ->add_option("--surgeon", device.surgeon,
+                   "motions: CSV with time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw; world frame")
+      ->required();
+  device_command->add_option("--render", device.render, "who computes the force: server, or device")
+      ->check(CLI::IsMember({"server", "device"}))
+      ->capture_default_str();
+  device_command->add_option("--log", device.log, "write every force to this CSV file");
+  device_command->add_option("--plot", device.plot, "write force over time to this SVG file");
+  device_command->add_option("--summary", device.summary, "write the summary to this JSON file");
+  device_command->add_option("--rate", device.rate_hz, "poses a second")
+      ->check(CLI::Range(1.0, 4000.0))
+      ->capture_default_str();
+  device_command->add_flag("--loop", device.loop,
+                           "play to the end and back again until interrupted");
+  device_command->add_flag("--quiet", device.quiet, "print the summary only");
+  device_command->footer(
+      "Examples:\n"
+      "  suture device --tool driver --surgeon stitch.csv\n"
+      "  suture device --tool driver --surgeon stitch.csv --log forces.csv --plot force.svg");
+
+  TopArguments top;
+  CLI::App* top_command =
+      app.add_subcommand("top", "Watch rates, latencies, forces and events of a server");
+  add_session_options(*top_command, top.session);
+  top_command->add_flag("--once", top.once, "print one table and end");
+  top_command->footer(
+      "Examples:\n"
+      "  suture top\n"
+      "  suture top --session room-2 --once\n"
+      "On a terminal the table renews itself; elsewhere it is a line a status.");
+
+  DoctorArguments doctor;
+  CLI::App* doctor_command =
+      app.add_subcommand("doctor", "Grade this machine and its network for 1 kHz haptics");
+  doctor_command->add_option("--domain", doctor.domain, "DDS domain for the round trip, even")
+      ->capture_default_str();
+  doctor_command->add_option("--seconds", doctor.seconds, "how long each loop is measured")
+      ->check(CLI::Range(0.2, 600.0))
+      ->capture_default_str();
+  doctor_command->add_flag("!--no-network", doctor.network, "leave out the DDS round trip");
+  doctor_command->footer(
+      "Example:\n"
+      "  suture doctor\n"
+      "Ends with 0 unless something makes 1 kHz impossible here, then with 1.");
+
+  CommandArguments command;
+  CLI::App* command_command = app.add_subcommand("command", "Tell the server to do something");
+  add_session_options(*command_command, command.session);
+  command_command->add_option("what", command.kind, "pause, resume, reset, stop or release")
+      ->required()
+      ->check(CLI::IsMember({"pause", "resume", "reset", "stop", "release"}));
+  command_command->add_option("--tool", command.tool, "tool whose lease to end (release)");
+  command_command->footer(
+      "Examples:\n"
+      "  suture command pause\n"
+      "  suture command stop                  # zero force for all tools until resume\n"
+      "  suture command release --tool driver");
+
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? kDone : kUsage;
+  }
+
+  struct sigaction action {};
+  action.sa_handler = on_signal;
+  sigaction(SIGINT, &action, nullptr);
+  sigaction(SIGTERM, &action, nullptr);
+
+  try {
+    if (*device_command) return run_device(device);
+    if (*top_command) return run_top(top);
+    if (*doctor_command) return run_doctor(doctor);
+    return run_command(command);
+  } catch (const Error& error) {
+    std::fflush(stdout);
+    std::fprintf(stderr, "suture: %s\n", error.cause().c_str());
+    if (!error.mend().empty()) std::fprintf(stderr, "  %s\n", error.mend().c_str());
+    return exit_code_of(error.code());
+  }
+}
+
+}  // namespace
+}  // namespace suture::cli
+
+int main(int argc, char** argv) { return suture::cli::run(argc, argv); }
