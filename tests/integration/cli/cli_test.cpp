@@ -1,0 +1,200 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The `suture` tool as its own process, against the server's end of the protocol in this one.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "support/process.hpp"
+#include "support/spring_server.hpp"
+#include "support/test_session.hpp"
+
+namespace suture {
+namespace {
+
+using sutured::testing::eventually;
+using sutured::testing::own_session;
+using sutured::testing::Process;
+using sutured::testing::SpringServer;
+using ::testing::HasSubstr;
+using ::testing::MatchesRegex;
+
+class Cli : public ::testing::Test {
+ protected:
+  Cli() {
+    folder_ = std::filesystem::temp_directory_path() / ("suture-cli-" + std::to_string(getpid()));
+    std::filesystem::create_directories(folder_);
+  }
+  ~Cli() override { std::filesystem::remove_all(folder_); }
+
+  [[nodiscard]] std::string path(const std::string& name) const { return folder_ / name; }
+
+  std::string write(const std::string& name, const std::string& text) const {
+    std::ofstream(path(name)) << text;
+    return path(name);
+  }
+
+  [[nodiscard]] std::string read(const std::string& name) const {
+    std::ostringstream text;
+    text << std::ifstream(path(name)).rdbuf();
+    return text.str();
+  }
+
+  /// A hand that goes 20 mm along x within half a second.
+  [[nodiscard]] std::string surgeon() const {
+    return write("surgeon.csv",
+                 "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw\n"
+                 "0,driver,0,0,0,0,0,0,1,1\n"
+                 "0.5,driver,0.02,0,0,0,0,0,1,1\n");
+  }
+
+  static std::vector<std::string> command(std::vector<std::string> words) {
+    words.insert(words.begin(), SUTURE_CLI);
+    words.insert(words.end(), {"--domain", std::to_string(own_session().domain), "--session",
+                               own_session().session});
+    return words;
+  }
+
+  static SpringServer::Options server_options() {
+    SpringServer::Options options;
+    options.session = own_session();
+    return options;
+  }
+
+ private:
+  std::filesystem::path folder_;
+};
+
+TEST_F(Cli, DevicePlaysASurgeonFileAndLeavesLogPlotAndSummary) {
+  SpringServer server(server_options());
+  Process device(
+      command({"device", "--tool", "driver", "--surgeon", surgeon(), "--log", path("log.csv"),
+               "--plot", path("plot.svg"), "--summary", path("summary.json")}));
+  ASSERT_EQ(device.wait(), 0) << device.output();
+  EXPECT_THAT(device.output(), HasSubstr("rendering"));
+  EXPECT_THAT(device.output(), HasSubstr("round trip"));
+
+  const nlohmann::json summary = nlohmann::json::parse(read("summary.json"));
+  EXPECT_GE(summary["poses_sent"], 300);  // 500 on an idle machine: missed ticks are skipped
+  EXPECT_LE(summary["poses_sent"], 500);
+  EXPECT_NEAR(summary["peak_force_n"], 2.0, 0.05);  // 100 N/m over 20 mm
+  EXPECT_EQ(summary["out_of_order"], 0);
+  EXPECT_GT(summary["round_trip_us"]["p50"], 0.0);
+  EXPECT_FALSE(summary["interrupted"]);
+
+  // Each line of the log holds a pose of the file and the force that answers it.
+  std::istringstream log(read("log.csv"));
+  std::string line;
+  std::getline(log, line);
+  EXPECT_THAT(line, MatchesRegex("time_s,hand_sequence,.*round_trip_us,model_age_us"));
+  int lines = 0;
+  std::uint64_t last_sequence = 0;
+  while (std::getline(log, line)) {
+    ++lines;
+    std::vector<std::string> fields;
+    std::istringstream split(line);
+    for (std::string field; std::getline(split, field, ',');) fields.push_back(field);
+    ASSERT_EQ(fields.size(), 21U) << line;
+    const double time_s = std::stod(fields[0]);
+    const double x_m = std::stod(fields[5]);
+    EXPECT_NEAR(x_m, 0.04 * time_s, 1e-7);  // microseconds in the text
+    EXPECT_NEAR(std::stod(fields[13]), -100.0 * x_m, 1e-7);
+    const std::uint64_t sequence = std::stoull(fields[1]);
+    EXPECT_GT(sequence, last_sequence);
+    last_sequence = sequence;
+  }
+  EXPECT_EQ(lines, summary["forces_received"]);
+
+  const std::string plot = read("plot.svg");
+  EXPECT_THAT(plot, HasSubstr("<svg"));
+  EXPECT_THAT(plot, HasSubstr("</svg>"));
+  EXPECT_EQ(plot.find("nan"), std::string::npos);
+}
+
+TEST_F(Cli, DeviceEndsItsLoopWithASummaryWhenInterrupted) {
+  SpringServer server(server_options());
+  Process device(command({"device", "--tool", "driver", "--surgeon", surgeon(), "--loop"}));
+  device.read_until("rendering");
+  device.send(SIGINT);
+  EXPECT_EQ(device.wait(), 130);
+  EXPECT_THAT(device.output(), HasSubstr("summary"));
+  EXPECT_TRUE(eventually([&] { return server.matched_devices() == 0; }));
+  EXPECT_EQ(server.goodbyes(), 1);
+}
+
+TEST_F(Cli, DeviceNamesThePlaceOfAFaultInTheSurgeonFile) {
+  const std::string bad = write("bad.csv",
+                                "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw\n"
+                                "0,driver,0,0,0,0,0,0,1,1\n"
+                                "1,driver,0,oops,0,0,0,0,1,1\n");
+  Process device(command({"device", "--tool", "driver", "--surgeon", bad}));
+  EXPECT_EQ(device.wait(), 2);
+  EXPECT_THAT(device.output(), HasSubstr("bad.csv:3:12: py_m is \"oops\""));
+}
+
+TEST_F(Cli, DeviceNamesTheToolsOfAFileThatLacksItsOwn) {
+  Process device(command({"device", "--tool", "left", "--surgeon", surgeon()}));
+  EXPECT_EQ(device.wait(), 2);
+  EXPECT_THAT(device.output(), HasSubstr("it has rows of driver"));
+}
+
+TEST_F(Cli, ExitCodesTellWhatIsMissing) {
+  Process no_server(
+      command({"device", "--tool", "driver", "--surgeon", surgeon(), "--timeout", "0.1"}));
+  EXPECT_EQ(no_server.wait(), 3);
+
+  SpringServer::Options options = server_options();
+  options.tools = {"other"};
+  SpringServer server(options);
+  Process unknown(command({"device", "--tool", "driver", "--surgeon", surgeon()}));
+  EXPECT_EQ(unknown.wait(), 5);
+  EXPECT_THAT(unknown.output(), HasSubstr("it has other"));
+
+  Process usage({SUTURE_CLI, "device"});
+  EXPECT_EQ(usage.wait(), 2);
+}
+
+TEST_F(Cli, DeviceSaysWhenTheServerDies) {
+  auto server = std::make_unique<SpringServer>(server_options());
+  Process device(command({"device", "--tool", "driver", "--surgeon", surgeon(), "--loop"}));
+  device.read_until("rendering");
+  server.reset();
+  EXPECT_EQ(device.wait(), 3);
+  EXPECT_THAT(device.output(), HasSubstr("server_silent"));
+  EXPECT_THAT(device.output(), HasSubstr("has not answered"));
+}
+
+TEST_F(Cli, TopPrintsATableOnce) {
+  SpringServer server(server_options());
+  Process top(command({"top", "--once"}));
+  EXPECT_EQ(top.wait(), 0);
+  EXPECT_THAT(top.output(), HasSubstr("scene spring"));
+  EXPECT_THAT(top.output(), HasSubstr("driver"));
+}
+
+TEST_F(Cli, CommandPrintsTheReply) {
+  SpringServer server(server_options());
+  Process pause(command({"command", "pause"}));
+  EXPECT_EQ(pause.wait(), 0);
+  EXPECT_EQ(pause.output(), "done\n");
+  Process stop(command({"command", "stop"}));
+  EXPECT_EQ(stop.wait(), 6);
+  EXPECT_THAT(stop.output(), HasSubstr("springs do not stop"));
+}
+
+TEST_F(Cli, DoctorGradesEveryLineAndMeasuresTheRoundTrip) {
+  Process doctor(
+      {SUTURE_CLI, "doctor", "--seconds", "0.5", "--domain", std::to_string(own_session().domain)});
+  const int code = doctor.wait();
+  EXPECT_TRUE(code == 0 || code == 1) << doctor.output();  // the machine's, not ours
+  for (const char* line : {"kernel", "processors", "SCHED_FIFO", "locked", "1 kHz wake-up",
+                           "receive buffers", "round trip over DDS"}) {
+    EXPECT_THAT(doctor.output(), HasSubstr(line));
+  }
+}
+
+}  // namespace
+}  // namespace suture
