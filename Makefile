@@ -8,6 +8,7 @@ BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
   cyclonedds-dev cyclonedds-tools libboost1.81-dev libspdlog-dev \
   libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev
 TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx
+MESH_PACKAGES := gmsh
 CHECK_PACKAGES := clang clang-format clang-tidy libclang-rt-14-dev
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 
@@ -45,3 +46,15 @@ test: deps-test ## Build and run every test
 .PHONY: format
 format: deps-check ## Rewrite the sources in the house style
 	@git ls-files '*.cpp' '*.hpp' | xargs -r clang-format -i
+
+.PHONY: meshes
+meshes: ## Make the meshes of the scenes anew, with Gmsh
+	$(call install-packages,$(MESH_PACKAGES))
+	@for geo in server/scenes/*/*.geo; do \
+	  gmsh -3 -v 2 -format msh41 $$geo -o $${geo%.geo}.msh && echo "made $${geo%.geo}.msh"; done
+
+.PHONY: fuzz
+fuzz: deps-check ## Fuzz the readers of scenes and meshes for a minute
+	@cmake --preset fuzz >/dev/null
+	@cmake --build --preset fuzz --target fuzzers
+	@tests/fuzz/smoke.sh build/fuzz/tests/fuzz 20

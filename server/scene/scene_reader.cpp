@@ -40,8 +40,8 @@ class SceneBuilder {
  public:
   explicit SceneBuilder(std::string path) : faults_(path) { scene_.path = std::move(path); }
 
-  Scene build() {
-    const toml::table root = parse();
+  Scene build(const std::string& text) {
+    const toml::table root = parse(text);
     TableReader table(root, "the scene", faults_);
     scene_.name = table.text("name", std::filesystem::path(scene_.path).stem().string());
     scene_.rate_hz = table.number("rate_hz", scene_.rate_hz, {.low = 30.0, .high = 1000.0});
@@ -62,13 +62,7 @@ class SceneBuilder {
   }
 
  private:
-  toml::table parse() {
-    std::string text;
-    try {
-      text = geometry::read_regular_file(scene_.path, kSceneBytesMax);
-    } catch (const geometry::FileError& error) {
-      throw SceneError({{scene_.path, 0, 0, error.what(), "name a scene file (*.toml)"}});
-    }
+  toml::table parse(const std::string& text) {
     try {
       return toml::parse(text, scene_.path);
     } catch (const toml::parse_error& error) {
@@ -376,6 +370,18 @@ class SceneBuilder {
 
 }  // namespace
 
-Scene read_scene(const std::string& path) { return SceneBuilder(path).build(); }
+Scene parse_scene(const std::string& text, const std::string& path) {
+  return SceneBuilder(path).build(text);
+}
+
+Scene read_scene(const std::string& path) {
+  std::string text;
+  try {
+    text = geometry::read_regular_file(path, kSceneBytesMax);
+  } catch (const geometry::FileError& error) {
+    throw SceneError({{path, 0, 0, error.what(), "name a scene file (*.toml)"}});
+  }
+  return parse_scene(text, path);
+}
 
 }  // namespace sutured::scene

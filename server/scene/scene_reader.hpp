@@ -16,4 +16,7 @@ namespace sutured::scene {
 /// knowing. The keys are described in docs/guide/scene-file.md.
 [[nodiscard]] Scene read_scene(const std::string& path);
 
+/// Reads a scene from `text` as if it stood in a file at `path`.
+[[nodiscard]] Scene parse_scene(const std::string& text, const std::string& path);
+
 }  // namespace sutured::scene
