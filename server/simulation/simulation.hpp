@@ -18,8 +18,8 @@ struct Body {
   std::string name;
   std::int32_t first_vertex = 0;
   std::int32_t vertex_count = 0;
-  std::vector<geometry::Triangle> surface;      ///< boundary, wound outward, body-local indices
-  std::vector<std::int32_t> surface_vertices;   ///< body-local, sorted: the ones `surface` uses
+  std::vector<geometry::Triangle> surface;     ///< boundary, wound outward, body-local indices
+  std::vector<std::int32_t> surface_vertices;  ///< body-local, sorted: the ones `surface` uses
 };
 
 /// Tissue, needles and tools of one scene, stepped through quasi-static equilibria.

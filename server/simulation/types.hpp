@@ -30,12 +30,17 @@ struct ToolInput {
 ///     w(ξ)   = w_0 − A_0 ξ − Ĵᵀ λ
 ///
 ///   S  m × m  m/N   Ĵ  m × 6  (tool's twist)   q  m  m
+///
+/// Storage is inline, for up to kRowsMax rows: nothing allocates.
 struct CondensedProblem {
-  Eigen::MatrixXd compliance_m_per_n;    ///< S
-  Eigen::Matrix<double, Eigen::Dynamic, 6> jacobian;  ///< Ĵ
-  Eigen::VectorXd offset_m;              ///< q
-  Eigen::VectorXd multiplier_n;          ///< λ at ξ = 0
-  Eigen::VectorXd multiplier_max_n;      ///< λ_max, +inf where unbounded
+  static constexpr int kRowsMax = 64;
+  using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kRowsMax, 1>;
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kRowsMax, kRowsMax>
+      compliance_m_per_n;                                                           ///< S
+  Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::ColMajor, kRowsMax, 6> jacobian;  ///< Ĵ
+  Vector offset_m;                                                                  ///< q
+  Vector multiplier_n;      ///< λ at ξ = 0
+  Vector multiplier_max_n;  ///< λ_max, +inf where unbounded
 };
 
 /// What a tool feels, and how that changes with its small motion ξ since `reference`:
@@ -46,32 +51,40 @@ struct CondensedProblem {
 /// the slide removed (A P of DESIGN section 5).
 struct ToolResponse {
   ToolInput reference;
-  Vec6 wrench = Vec6::Zero();    ///< N, N·m
-  Mat6 stiffness = Mat6::Zero();  ///< N/m, N, N·m/rad
-  Vec6 bilateral_wrench = Vec6::Zero();    ///< w_0: with every row of `condensed` at λ = 0
+  Vec6 wrench = Vec6::Zero();               ///< N, N·m
+  Mat6 stiffness = Mat6::Zero();            ///< N/m, N, N·m/rad
+  Vec6 bilateral_wrench = Vec6::Zero();     ///< w_0: with every row of `condensed` at λ = 0
   Mat6 bilateral_stiffness = Mat6::Zero();  ///< A_0
   CondensedProblem condensed;
   Vec6 slide_twist = Vec6::Zero();  ///< s, unit slide of the needle held; zero if none
   double slide_friction_n = 0.0;    ///< f along s
-  Vec6 slide_gradient = Vec6::Zero();  ///< g = A s / κ of A before the slide's removal: P = I − s gᵀ
-  double slide_stiffness = 0.0;        ///< κ = sᵀ A s of the same; zero: nothing slides
+  Vec6 slide_gradient =
+      Vec6::Zero();              ///< g = A s / κ of A before the slide's removal: P = I − s gᵀ
+  double slide_stiffness = 0.0;  ///< κ = sᵀ A s of the same; zero: nothing slides
   /// M = Σ r fᵀ (N·m) over the bilateral forces f on the tool at arms r from its origin;
   /// with it the haptic model turns torques with the tool. Zero where arms do not matter.
   Eigen::Matrix3d arm_moment = Eigen::Matrix3d::Zero();
-  bool touching = false;            ///< false: the wrench is exactly zero
-  bool world_changed = false;       ///< a contact, puncture, grasp or release in this step
+  bool touching = false;       ///< false: the wrench is exactly zero
+  bool world_changed = false;  ///< a contact, puncture, grasp or release in this step
 };
 
 enum class EventKind : std::uint8_t {
-  kGrasp, kRelease, kContact, kPuncture, kExit, kGripSlip, kLimit, kSolverResidual
+  kGrasp,
+  kRelease,
+  kContact,
+  kPuncture,
+  kExit,
+  kGripSlip,
+  kLimit,
+  kSolverResidual
 };
 
 /// Something that happened in a step.
 struct Event {
   EventKind kind{};
   double time_s = 0.0;
-  std::string subject;   ///< the tool or needle it happened to
-  std::string object;    ///< the tissue, needle or tool on the other side
+  std::string subject;  ///< the tool or needle it happened to
+  std::string object;   ///< the tissue, needle or tool on the other side
   Vec3 position_m = Vec3::Zero();
   double force_n = 0.0;  ///< at the moment of the event
 };
@@ -80,7 +93,7 @@ struct Event {
 struct NeedleState {
   Vec3 position_m = Vec3::Zero();  ///< of the needle's frame
   Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
-  int holder = -1;                 ///< index of a tool that grips it, or −1
+  int holder = -1;  ///< index of a tool that grips it, or −1
   int active_cells = 0;
   double embedded_length_m = 0.0;
   double tip_force_n = 0.0;
@@ -95,7 +108,7 @@ struct StepReport {
   int rows = 0;
   int active_unilateral_rows = 0;
   int contacts = 0;
-  double complementarity_residual_n = 0.0;
+  double complementarity_residual = 0.0;  ///< dimensionless: see SolveReport::residual
   std::int64_t track_ns = 0, assemble_ns = 0, solve_ns = 0, backward_ns = 0, model_ns = 0;
 };
 
