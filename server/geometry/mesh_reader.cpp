@@ -160,6 +160,8 @@ RawMesh read_with_gmsh(const std::string& path, const CheckedMeshFile& file) {
     gmsh::vectorpair groups;
     gmsh::model::getPhysicalGroups(groups);
     for (const auto& [dimension, tag] : groups) read_group(dimension, tag, raw);
+  } catch (const std::string& error) {  // what libgmsh throws
+    throw MeshError(path, {{0, "", "libgmsh cannot read it: " + error, kMendExport}});
   } catch (const std::exception& error) {
     throw MeshError(path,
                     {{0, "", std::string("libgmsh cannot read it: ") + error.what(), kMendExport}});

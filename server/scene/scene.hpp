@@ -25,6 +25,7 @@ struct Pose {
 /// Another material in one physical volume of the mesh.
 struct Region {
   std::string group;
+  std::vector<std::int32_t> tets;  ///< of the tissue's mesh; no tet lies in two regions
   double young_modulus_pa = 0.0;
   double poisson_ratio = 0.0;
 };

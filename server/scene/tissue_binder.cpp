@@ -410,6 +410,7 @@ void TissueBinder::bind_regions(TableReader& table) {
           "group",
           "regions \"" + twin + "\" and \"" + region.group + "\" of " + title_ + " share tets",
           "give each tet one region");
+    region.tets = group->tets;
     tissue_.regions.push_back(std::move(region));
   }
 }

@@ -325,6 +325,15 @@ TEST_F(MeshReader, RefusesAScaleThatIsNone) {
     EXPECT_THAT(error_of(path, scale), HasSubstr("the scale must be positive and finite"));
 }
 
+// Found by fuzz_mesh_reader: the guard lets it pass, libgmsh throws a string.
+TEST_F(MeshReader, TellsWhatLibgmshFindsWrong) {
+  EXPECT_THAT(error_in("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n"
+                       "$Entities\n0 0 1 1\n1 0 0 0 1 1 1 0 0\n1 0 0 0 1 1 1 0 1 99\n"
+                       "$EndEntities\n$Nodes\n1 4 1 4\n3 1 0 4\n1\n2\n3\n4\n0 0 0\n1 0 0\n0 1 0\n"
+                       "0 0 1\n$EndNodes\n$Elements\n1 1 1 1\n3 7 4 1\n1 1 2 3 4\n$EndElements\n"),
+              StartsWith("a.msh: libgmsh cannot read it: "));
+}
+
 TEST_F(MeshReader, ShowsTwentyFaultsAndCountsTheRest) {
   std::string elements = "$Elements\n30\n";
   for (int i = 1; i <= 30; ++i) elements += std::to_string(i) + " 4 2 1 1 1 2 3 77\n";

@@ -113,6 +113,7 @@ TEST_F(SceneReader, ReadsEveryKey) {
   EXPECT_THAT(tissue.prescribed[1].axes, ElementsAre(false, false, true));
   ASSERT_THAT(tissue.regions, SizeIs(1));
   EXPECT_EQ(tissue.regions[0].young_modulus_pa, 3e5);
+  EXPECT_THAT(tissue.regions[0].tets, ElementsAre(0));
   ASSERT_THAT(tissue.loads, SizeIs(1));
   EXPECT_THAT(tissue.loads[0].vertices, ElementsAre(3));
   const Needle& needle = scene.needles.at(0);
