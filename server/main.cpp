@@ -5,6 +5,7 @@
 #include <iostream>
 
 #include "commands/check_command.hpp"
+#include "commands/run_command.hpp"
 
 int main(int argc, char** argv) {
   CLI::App app("sutured: a haptic server for suturing simulation", "sutured");
@@ -14,6 +15,7 @@ int main(int argc, char** argv) {
 
   int exit_code = 0;
   sutured::commands::add_check_command(app, exit_code);
+  sutured::commands::add_run_command(app, exit_code);
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& help) {
