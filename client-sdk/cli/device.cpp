@@ -7,10 +7,12 @@
 #include <array>
 #include <chrono>
 #include <cmath>
+#include <condition_variable>
 #include <cstdio>
 #include <fstream>
 #include <mutex>
 #include <nlohmann/json.hpp>
+#include <thread>
 
 #include "commands.hpp"
 #include "force_log.hpp"
@@ -21,9 +23,6 @@
 
 namespace suture::cli {
 namespace {
-
-constexpr std::size_t kSentSize = 65536;  // hands whose answer may still come: a minute
-constexpr double kPrintPeriodS = 0.2;
 
 Hand hand_at(const SurgeonTrack& track, double time_s) {
   const SurgeonPose pose = track.at(time_s);
@@ -70,15 +69,42 @@ class EventBook {
   }
   void add(const Status& status) {
     const std::lock_guard lock(mutex_);
-    status_ = status;
+    if (!begun_) overruns_before_ = status.overruns;
+    begun_ = true;
+    // Percentiles of periods do not add up to percentiles of the whole; the median period
+    // and the worst one bound what a hand has met.
+    if (status.step.count > 0) {
+      step_p50_us_.push_back(status.step.p50_us);
+      step_p99_us_ = std::max(step_p99_us_, status.step.p99_us);
+      step_max_us_ = std::max(step_max_us_, status.step.max_us);
+    }
+    overruns_ = status.overruns - overruns_before_;
+    last_stamp_ns_ = status.stamp_ns;
+    changed_.notify_all();
+  }
+  /// Waits for a status that was written after `stamp_ns`, which tells of all before it.
+  void await_status_after(std::int64_t stamp_ns, std::chrono::milliseconds timeout) {
+    std::unique_lock lock(mutex_);
+    changed_.wait_for(lock, timeout, [&] { return last_stamp_ns_ > stamp_ns; });
   }
   [[nodiscard]] std::vector<Entry> entries() {
     const std::lock_guard lock(mutex_);
     return entries_;
   }
-  [[nodiscard]] Status status() {
+  struct Steps {
+    double p50_ms = 0.0, worst_p99_ms = 0.0, max_ms = 0.0;
+    std::uint64_t overruns = 0;
+  };
+  [[nodiscard]] Steps steps() {
     const std::lock_guard lock(mutex_);
-    return status_;
+    Steps steps{0.0, 1e-3 * step_p99_us_, 1e-3 * step_max_us_, overruns_};
+    if (!step_p50_us_.empty()) {
+      const auto middle =
+          step_p50_us_.begin() + static_cast<std::ptrdiff_t>(step_p50_us_.size() / 2);
+      std::nth_element(step_p50_us_.begin(), middle, step_p50_us_.end());
+      steps.p50_ms = 1e-3 * *middle;
+    }
+    return steps;
   }
 
  private:
@@ -86,8 +112,13 @@ class EventBook {
   bool print_;
   std::int64_t start_ns_;
   std::mutex mutex_;
+  std::condition_variable changed_;
   std::vector<Entry> entries_;
-  Status status_;
+  std::vector<double> step_p50_us_;
+  double step_p99_us_ = 0.0, step_max_us_ = 0.0;
+  std::uint64_t overruns_before_ = 0, overruns_ = 0;
+  std::int64_t last_stamp_ns_ = 0;
+  bool begun_ = false;
 };
 
 void print_force(double time_s, double end_s, const Force& force, double limit_n) {
@@ -117,6 +148,226 @@ void write_text(const std::string& path, const std::string& text) {
   }
 }
 
+/// The hands sent lately with their times: what the receive thread needs to say to which
+/// pose a force belongs. One thread notes, another looks up; neither waits.
+class SentHands {
+ public:
+  void note(std::uint64_t sequence, double time_s) noexcept {
+    Entry& entry = entries_[sequence % kSize];
+    entry.time_s.store(time_s, std::memory_order_relaxed);
+    entry.sequence.store(sequence, std::memory_order_release);
+  }
+  [[nodiscard]] std::optional<double> time_of(std::uint64_t sequence) const noexcept {
+    const Entry& entry = entries_[sequence % kSize];
+    if (entry.sequence.load(std::memory_order_acquire) != sequence) return std::nullopt;
+    return entry.time_s.load(std::memory_order_relaxed);
+  }
+
+ private:
+  static constexpr std::size_t kSize = 65536;  // a minute at 1 kHz
+  struct Entry {
+    std::atomic<std::uint64_t> sequence{0};
+    std::atomic<double> time_s{0.0};
+  };
+  std::array<Entry, kSize> entries_;
+};
+
+/// Prints the present force a few times a second, on a thread of its own: a terminal may
+/// be slow, and the thread that keeps the beat must not wait for it.
+class ForcePrinter {
+ public:
+  ForcePrinter(double end_s, double limit_n) : end_s_(end_s), limit_n_(limit_n) {
+    worker_ = std::thread([this] {
+      std::unique_lock lock(mutex_);
+      while (!changed_.wait_for(lock, kPeriod, [this] { return done_; })) {
+        print_force(time_s_, end_s_, force_, limit_n_);
+      }
+    });
+  }
+  ~ForcePrinter() {
+    {
+      const std::lock_guard lock(mutex_);
+      done_ = true;
+    }
+    changed_.notify_all();
+    worker_.join();
+  }
+  ForcePrinter(const ForcePrinter&) = delete;
+  ForcePrinter& operator=(const ForcePrinter&) = delete;
+
+  /// Leaves what to print next, unless it is being printed just now.
+  void show(double time_s, const Force& force) noexcept {
+    const std::unique_lock lock(mutex_, std::try_to_lock);
+    if (!lock) return;
+    time_s_ = time_s;
+    force_ = force;
+  }
+
+ private:
+  static constexpr std::chrono::milliseconds kPeriod{200};
+  const double end_s_, limit_n_;
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  bool done_ = false;
+  double time_s_ = 0.0;
+  Force force_;
+  std::thread worker_;
+};
+
+/// What a play came to.
+struct Outcome {
+  double duration_s = 0.0;
+  DeviceStatistics counts;
+  EventBook::Steps steps;
+  std::vector<EventBook::Entry> events;
+  std::uint64_t log_dropped = 0;
+  double max_force_n = 0.0;
+  std::string scene;
+
+  [[nodiscard]] double answered_pct() const {
+    return counts.hands_written == 0 ? 0.0
+                                     : 100.0 * static_cast<double>(counts.forces_received) /
+                                           static_cast<double>(counts.hands_written);
+  }
+};
+
+bool passes_a_surface(const EventBook::Entry& entry) {
+  return entry.event.kind == "puncture" || entry.event.kind == "exit";
+}
+
+double us(std::int64_t ns) { return 1e-3 * static_cast<double>(ns); }
+
+Outcome play(const DeviceArguments& arguments, const SurgeonTrack& track, ForceLog& log) {
+  SessionOptions session;
+  session.domain = arguments.session.domain;
+  session.session = arguments.session.session;
+  session.timeout =
+      std::chrono::milliseconds(static_cast<std::int64_t>(arguments.session.timeout_s * 1000.0));
+  const auto hand_then = [&](double time_s) {
+    return hand_at(track, arguments.loop ? loop_time(track, time_s) : time_s);
+  };
+
+  const auto sent = std::make_unique<SentHands>();
+  DeviceOptions options;
+  options.domain = session.domain;
+  options.session = session.session;
+  options.timeout = session.timeout;
+  options.tool = arguments.tool;
+  options.on_force = [&](const Force& force) {
+    if (const std::optional<double> time_s = sent->time_of(force.hand_sequence)) {
+      log.push({*time_s, hand_then(*time_s), force});
+    }
+  };
+  Device device(options);
+  if (!arguments.quiet) {
+    std::printf("scene %s, tool %s: playing %s, %.2f s at %g Hz\n", device.scene().c_str(),
+                arguments.tool.c_str(), arguments.surgeon.c_str(), track.end_s(),
+                arguments.rate_hz);
+  }
+  EventBook book(!arguments.quiet);
+  ViewerCallbacks callbacks;
+  callbacks.on_event = [&](const Event& event) { book.add(event); };
+  callbacks.on_status = [&](const Status& status) { book.add(status); };
+  Viewer viewer(session, callbacks);
+
+  Outcome outcome;
+  outcome.max_force_n = device.max_force_n();
+  outcome.scene = device.scene();
+  std::uint64_t sequence = 0;
+  {
+    std::optional<ForcePrinter> printer;
+    if (!arguments.quiet) printer.emplace(track.end_s(), device.max_force_n());
+    double time_s = 0.0;
+    const Device::Tick tick = [&](const Force& force,
+                                  std::chrono::nanoseconds elapsed) -> std::optional<Hand> {
+      time_s += std::chrono::duration<double>(elapsed).count();
+      if (interrupted || (!arguments.loop && time_s > track.end_s())) return std::nullopt;
+      if (printer) printer->show(time_s, force);
+      sent->note(++sequence, time_s);
+      return hand_then(time_s);
+    };
+    device.run(tick, arguments.rate_hz);
+    outcome.duration_s = time_s;
+  }
+  // The answer to the last hand is on its way, and the status that tells of the end.
+  static_cast<void>(device.read_after(sequence, std::chrono::milliseconds(100)));
+  book.await_status_after(wall_clock_ns(), std::chrono::milliseconds(1200));
+  viewer.close();
+  log.finish();
+  outcome.counts = device.statistics();
+  outcome.steps = book.steps();
+  outcome.events = book.entries();
+  outcome.log_dropped = log.dropped();
+  return outcome;
+}
+
+void print_summary(const Outcome& outcome) {
+  const DeviceStatistics& counts = outcome.counts;
+  const auto number = [](std::uint64_t value) { return static_cast<unsigned long long>(value); };
+  std::printf("%ssummary\n", on_terminal() ? "\r\x1b[K" : "");
+  std::printf("  poses sent            %llu in %.2f s\n", number(counts.hands_written),
+              outcome.duration_s);
+  std::printf("  forces received       %llu (%.2f %%), %llu unanswered, %llu out of order\n",
+              number(counts.forces_received), outcome.answered_pct(),
+              number(counts.hands_unanswered), number(counts.out_of_order));
+  std::printf("  peak force            %.4f N (limit %.2f N)\n", counts.peak_force_n,
+              outcome.max_force_n);
+  std::printf("  round trip            p50 %.0f µs, p99 %.0f µs, max %.0f µs\n",
+              us(counts.round_trip_p50_ns), us(counts.round_trip_p99_ns),
+              us(counts.round_trip_max_ns));
+  std::printf(
+      "  simulation step       p50 %.2f ms, p99 of the worst half second %.2f ms, max %.2f ms; "
+      "%llu overruns\n",
+      outcome.steps.p50_ms, outcome.steps.worst_p99_ms, outcome.steps.max_ms,
+      number(outcome.steps.overruns));
+  for (const EventBook::Entry& entry : outcome.events) {
+    if (!passes_a_surface(entry)) continue;
+    std::printf("  %-21s %.3f s, %.4f N, %s · %s\n", entry.event.kind.c_str(), entry.time_s,
+                entry.event.value, entry.event.subject.c_str(), entry.event.object.c_str());
+  }
+  if (outcome.log_dropped > 0) {
+    std::printf("  log                   %llu forces did not fit and are missing\n",
+                number(outcome.log_dropped));
+  }
+}
+
+std::string summary_json(const DeviceArguments& arguments, const Outcome& outcome) {
+  const DeviceStatistics& counts = outcome.counts;
+  nlohmann::json punctures = nlohmann::json::array();
+  for (const EventBook::Entry& entry : outcome.events) {
+    if (!passes_a_surface(entry)) continue;
+    punctures.push_back({{"time_s", entry.time_s},
+                         {"kind", entry.event.kind},
+                         {"subject", entry.event.subject},
+                         {"object", entry.event.object},
+                         {"force_n", entry.event.value}});
+  }
+  const nlohmann::json summary = {{"tool", arguments.tool},
+                                  {"scene", outcome.scene},
+                                  {"duration_s", outcome.duration_s},
+                                  {"poses_sent", counts.hands_written},
+                                  {"forces_received", counts.forces_received},
+                                  {"answered_pct", outcome.answered_pct()},
+                                  {"unanswered", counts.hands_unanswered},
+                                  {"repeated", counts.repeated},
+                                  {"out_of_order", counts.out_of_order},
+                                  {"peak_force_n", counts.peak_force_n},
+                                  {"max_force_n", outcome.max_force_n},
+                                  {"round_trip_us",
+                                   {{"p50", us(counts.round_trip_p50_ns)},
+                                    {"p99", us(counts.round_trip_p99_ns)},
+                                    {"max", us(counts.round_trip_max_ns)}}},
+                                  {"step_ms",
+                                   {{"p50", outcome.steps.p50_ms},
+                                    {"p99_worst_period", outcome.steps.worst_p99_ms},
+                                    {"max", outcome.steps.max_ms}}},
+                                  {"overruns", outcome.steps.overruns},
+                                  {"punctures", punctures},
+                                  {"events", outcome.events.size()},
+                                  {"interrupted", interrupted.load()}};
+  return summary.dump(2) + "\n";
+}
+
 }  // namespace
 
 int run_device(const DeviceArguments& arguments) {
@@ -135,170 +386,23 @@ int run_device(const DeviceArguments& arguments) {
     throw Error(ErrorCode::kBadInput, "this version renders on the server only",
                 "leave --render out");
   }
-  const auto timeout =
-      std::chrono::milliseconds(static_cast<std::int64_t>(arguments.session.timeout_s * 1000.0));
-
-  // What the receive thread needs to know of a hand whose answer arrives.
-  struct Sent {
-    std::atomic<std::uint64_t> sequence{0};
-    std::atomic<double> time_s{0.0};
-  };
-  const auto sent = std::make_unique<std::array<Sent, kSentSize>>();
   ForceLog log(arguments.log);
-
-  DeviceOptions options;
-  options.domain = arguments.session.domain;
-  options.session = arguments.session.session;
-  options.tool = arguments.tool;
-  options.timeout = timeout;
-  options.on_force = [&](const Force& force) {
-    const Sent& hand = (*sent)[force.hand_sequence % kSentSize];
-    if (hand.sequence.load(std::memory_order_acquire) != force.hand_sequence) return;
-    const double time_s = hand.time_s.load(std::memory_order_relaxed);
-    log.push({time_s, hand_at(*track, arguments.loop ? loop_time(*track, time_s) : time_s), force});
-  };
-  Device device(options);
-
-  if (!arguments.quiet) {
-    std::printf("scene %s, tool %s: playing %s, %.2f s at %g Hz\n", device.scene().c_str(),
-                arguments.tool.c_str(), arguments.surgeon.c_str(), track->end_s(),
-                arguments.rate_hz);
-  }
-  EventBook book(!arguments.quiet);
-  ViewerCallbacks callbacks;
-  callbacks.on_event = [&](const Event& event) { book.add(event); };
-  callbacks.on_status = [&](const Status& status) { book.add(status); };
-  SessionOptions session;
-  session.domain = arguments.session.domain;
-  session.session = arguments.session.session;
-  session.timeout = timeout;
-  Viewer viewer(session, callbacks);
-
-  const double end_s = track->end_s();
-  std::uint64_t sequence = 0;
-  double time_s = 0.0;
-  // Printing is not for the thread that keeps the beat: a terminal may be slow.
-  std::mutex shown_mutex;
-  Force shown;
-  double shown_time_s = 0.0;
-  std::atomic<bool> playing{true};
-  std::thread printer([&] {
-    while (playing && !arguments.quiet) {
-      {
-        const std::lock_guard lock(shown_mutex);
-        print_force(shown_time_s, end_s, shown, device.max_force_n());
-      }
-      std::this_thread::sleep_for(std::chrono::duration<double>(kPrintPeriodS));
-    }
-  });
-  struct Join {
-    std::atomic<bool>& playing;
-    std::thread& printer;
-    ~Join() {
-      playing = false;
-      if (printer.joinable()) printer.join();
-    }
-  };
-  {
-    const Join join{playing, printer};
-    device.run(
-        [&](const Force& force, std::chrono::nanoseconds elapsed) -> std::optional<Hand> {
-          time_s += std::chrono::duration<double>(elapsed).count();
-          if (interrupted || (!arguments.loop && time_s > end_s)) return std::nullopt;
-          if (shown_mutex.try_lock()) {
-            shown = force;
-            shown_time_s = time_s;
-            shown_mutex.unlock();
-          }
-          Sent& next = (*sent)[++sequence % kSentSize];
-          next.time_s.store(time_s, std::memory_order_relaxed);
-          next.sequence.store(sequence, std::memory_order_release);
-          return hand_at(*track, arguments.loop ? loop_time(*track, time_s) : time_s);
-        },
-        arguments.rate_hz);
-  }
-  // The answer to the last hand is on its way, and the status that tells of it.
-  static_cast<void>(device.read_after(sequence, std::chrono::milliseconds(100)));
-  const DeviceStatistics counts = device.statistics();
-  viewer.close();
-  log.finish();
-
-  const std::vector<EventBook::Entry> entries = book.entries();
-  const Status status = book.status();
-  std::vector<PlotMark> marks;
-  nlohmann::json punctures = nlohmann::json::array();
-  for (const EventBook::Entry& entry : entries) {
-    const Event& event = entry.event;
-    if (event.kind != "puncture" && event.kind != "exit") continue;
-    marks.push_back({entry.time_s, event.kind + " " + event.object});
-    punctures.push_back({{"time_s", entry.time_s},
-                         {"kind", event.kind},
-                         {"subject", event.subject},
-                         {"object", event.object},
-                         {"force_n", event.value}});
-  }
-  const auto us = [](std::int64_t ns) { return 1e-3 * static_cast<double>(ns); };
-  const double answered_pct = counts.hands_written > 0
-                                  ? 100.0 * static_cast<double>(counts.forces_received) /
-                                        static_cast<double>(counts.hands_written)
-                                  : 0.0;
-  if (!arguments.quiet && on_terminal()) std::printf("\r\x1b[K");
-  std::printf("summary\n");
-  std::printf("  poses sent            %llu in %.2f s\n",
-              static_cast<unsigned long long>(counts.hands_written), time_s);
-  std::printf("  forces received       %llu (%.2f %%), %llu unanswered, %llu out of order\n",
-              static_cast<unsigned long long>(counts.forces_received), answered_pct,
-              static_cast<unsigned long long>(counts.hands_unanswered),
-              static_cast<unsigned long long>(counts.out_of_order));
-  std::printf("  peak force            %.4f N (limit %.2f N)\n", counts.peak_force_n,
-              device.max_force_n());
-  std::printf("  round trip            p50 %.0f µs, p99 %.0f µs, max %.0f µs\n",
-              us(counts.round_trip_p50_ns), us(counts.round_trip_p99_ns),
-              us(counts.round_trip_max_ns));
-  std::printf("  simulation step       p50 %.2f ms, p99 %.2f ms, max %.2f ms; %llu overruns\n",
-              1e-3 * status.step.p50_us, 1e-3 * status.step.p99_us, 1e-3 * status.step.max_us,
-              static_cast<unsigned long long>(status.overruns));
-  for (const auto& puncture : punctures) {
-    std::printf("  %-21s %.3f s, %.4f N, %s · %s\n", puncture["kind"].get<std::string>().c_str(),
-                puncture["time_s"].get<double>(), puncture["force_n"].get<double>(),
-                puncture["subject"].get<std::string>().c_str(),
-                puncture["object"].get<std::string>().c_str());
-  }
-  if (log.dropped() > 0) {
-    std::printf("  log                   %llu forces did not fit and are missing\n",
-                static_cast<unsigned long long>(log.dropped()));
-  }
+  const Outcome outcome = play(arguments, *track, log);
+  print_summary(outcome);
   if (!arguments.plot.empty()) {
-    write_text(arguments.plot, force_plot_svg(log.trace(), marks,
-                                              "Force on the tool \"" + arguments.tool + "\" (" +
-                                                  device.scene() + ")"));
+    std::vector<PlotMark> marks;
+    for (const EventBook::Entry& entry : outcome.events) {
+      if (passes_a_surface(entry)) {
+        marks.push_back({entry.time_s, entry.event.kind + " " + entry.event.object});
+      }
+    }
+    const std::string title =
+        "Force on the tool \"" + arguments.tool + "\" (" + outcome.scene + ")";
+    write_text(arguments.plot, force_plot_svg(log.trace(), marks, title));
     std::printf("  plot                  %s\n", arguments.plot.c_str());
   }
   if (!arguments.summary.empty()) {
-    const nlohmann::json summary = {{"tool", arguments.tool},
-                                    {"scene", device.scene()},
-                                    {"duration_s", time_s},
-                                    {"poses_sent", counts.hands_written},
-                                    {"forces_received", counts.forces_received},
-                                    {"answered_pct", answered_pct},
-                                    {"unanswered", counts.hands_unanswered},
-                                    {"repeated", counts.repeated},
-                                    {"out_of_order", counts.out_of_order},
-                                    {"peak_force_n", counts.peak_force_n},
-                                    {"max_force_n", device.max_force_n()},
-                                    {"round_trip_us",
-                                     {{"p50", us(counts.round_trip_p50_ns)},
-                                      {"p99", us(counts.round_trip_p99_ns)},
-                                      {"max", us(counts.round_trip_max_ns)}}},
-                                    {"step_ms",
-                                     {{"p50", 1e-3 * status.step.p50_us},
-                                      {"p99", 1e-3 * status.step.p99_us},
-                                      {"max", 1e-3 * status.step.max_us}}},
-                                    {"overruns", status.overruns},
-                                    {"punctures", punctures},
-                                    {"events", entries.size()},
-                                    {"interrupted", interrupted.load()}};
-    write_text(arguments.summary, summary.dump(2) + "\n");
+    write_text(arguments.summary, summary_json(arguments, outcome));
     std::printf("  summary               %s\n", arguments.summary.c_str());
   }
   return interrupted ? kInterrupted : kDone;
