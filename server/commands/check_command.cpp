@@ -10,8 +10,10 @@
 #include <utility>
 
 #include "commands/mesh_report.hpp"
+#include "fem/cholesky_factor.hpp"
 #include "geometry/mesh_reader.hpp"
 #include "scene/scene_reader.hpp"
+#include "simulation/tissue_state.hpp"
 
 namespace sutured::commands {
 
@@ -54,7 +56,14 @@ void check_mesh(const Options& options) {
   print_notes(reading.notes);
 }
 
-void print_tissue(const scene::Tissue& tissue, const MeshReport& report) {
+// The 2-norm condition number of the tissue's stiffness matrix, held as the scene holds it.
+double stiffness_condition(const scene::Tissue& tissue) {
+  scene::Scene alone;
+  alone.tissues.push_back(tissue);
+  return fem::CholeskyFactor(fem::assemble(simulation::assemble_model(alone))).estimate_condition();
+}
+
+void print_tissue(const scene::Tissue& tissue, const MeshReport& report, double condition) {
   std::cout << "\ntissue \"" << tissue.name << "\"  " << tissue.mesh_path << ", "
             << tissue.mesh_format << ", scale " << tissue.scale << '\n';
   print_mesh(std::cout, tissue.mesh, report);
@@ -65,7 +74,8 @@ void print_tissue(const scene::Tissue& tissue, const MeshReport& report) {
     std::cout << "; " << region.group << ": E = " << region.young_modulus_pa * 1e-3
               << " kPa, Poisson ratio " << region.poisson_ratio;
   std::cout << "\n  held        " << fixed_vertices(tissue) << " vertices fixed or prescribed, "
-            << tissue.loads.size() << (tissue.loads.size() == 1 ? " load\n" : " loads\n");
+            << tissue.loads.size() << (tissue.loads.size() == 1 ? " load\n" : " loads\n")
+            << "  condition   " << condition << " (2-norm of the stiffness matrix, estimated)\n";
 }
 
 void print_instruments(const scene::Scene& scene) {
@@ -94,8 +104,9 @@ void check_scene(const Options& options) {
               << " Hz\n";
   for (const scene::Tissue& tissue : scene.tissues) {
     const MeshReport report = report_mesh(tissue.mesh);
+    const double condition = stiffness_condition(tissue);
     if (!options.json) {
-      print_tissue(tissue, report);
+      print_tissue(tissue, report, condition);
       continue;
     }
     json entry = mesh_json(tissue.mesh, report);
@@ -104,7 +115,8 @@ void check_scene(const Options& options) {
                   {"format", tissue.mesh_format},
                   {"scale", tissue.scale},
                   {"mass_kg", report.quality.volume_m3 * tissue.density_kg_per_m3},
-                  {"fixed_vertices", fixed_vertices(tissue)}});
+                  {"fixed_vertices", fixed_vertices(tissue)},
+                  {"stiffness_condition", condition}});
     tissues.push_back(std::move(entry));
   }
   if (options.json) {
@@ -150,6 +162,10 @@ int check(const Options& options) {
     json faults = json::array();
     for (const scene::SceneFault& fault : error.faults()) faults.push_back(fault_json(fault));
     return tell_faults(options, error.what(), error.faults().size(), std::move(faults));
+  } catch (const fem::NotPositiveDefinite& error) {
+    const scene::SceneFault fault{options.path, 0, 0, error.what(),
+                                  "fix more of the tissue, or repair its flattest tets"};
+    return tell_faults(options, scene::SceneError({fault}).what(), 1, {fault_json(fault)});
   } catch (const geometry::MeshError& error) {
     json faults = json::array();
     for (const geometry::MeshFault& fault : error.faults())

@@ -55,6 +55,9 @@ TEST(CheckCommand, WritesTheSameAsJson) {
   // The tube of radii 4.5 and 6 mm as a ring of 30 chords, 20 mm long.
   const double tube = 30.0 / 2.0 * std::sin(2.0 * std::numbers::pi / 30.0) * (36.0 - 20.25) * 20e-9;
   EXPECT_NEAR(tissue.at("volume_m3").get<double>(), tube, 1e-6 * tube);
+  // Between one and what eight good digits of force allow.
+  EXPECT_GT(tissue.at("stiffness_condition").get<double>(), 1e2);
+  EXPECT_LT(tissue.at("stiffness_condition").get<double>(), 1e8);
   EXPECT_NEAR(tissue.at("mass_kg").get<double>(), 1000.0 * tube, 1e-3 * tube);
 }
 
