@@ -65,6 +65,9 @@ struct Simulation::State {
   std::vector<Event> events, pending_events;
   StepReport report;
   double time_s = 0.0;
+  // Time is counted in steps from the last change of their length, so that it gathers no rounding.
+  double base_s = 0.0, period_s = 0.0;
+  std::uint64_t steps_since_base = 0;
   bool settled = true;
 
   constraints::ConstraintRows rows;
@@ -122,7 +125,7 @@ struct Simulation::State {
 
   constraints::SolveReport last_solve;
 
-  void substep(double dt_s) {
+  void substep(double dt_s, double end_s) {
     settle(events);
     tissue.compliance().evict(kIdleStepsMax);
     for (std::size_t i = 0; i < tools.size(); ++i)
@@ -151,7 +154,7 @@ struct Simulation::State {
     for (NeedleBody& needle : needles) needle.commit(rows, lambda, states);
     tissue.apply(rows, lambda);
     settled = false;
-    time_s += dt_s;
+    time_s = end_s;
     report.complementarity_residual =
         std::max(report.complementarity_residual, last_solve.residual);
     if (last_solve.residual > kResidualMax)
@@ -180,7 +183,13 @@ struct Simulation::State {
     report.substeps = substeps_for(target_inputs, dt_s);
     for (NeedleBody& needle : needles) needle.clear_world_changed();
     for (ToolBody& tool : tools) tool.clear_world_changed();
+    if (dt_s != period_s) {
+      base_s = time_s;
+      period_s = dt_s;
+      steps_since_base = 0;
+    }
     const double start_s = time_s;
+    const double end_s = base_s + static_cast<double>(++steps_since_base) * dt_s;
     for (int k = 1; k <= report.substeps; ++k) {
       const double share = static_cast<double>(k) / report.substeps;
       for (std::size_t i = 0; i < tools.size(); ++i) {
@@ -191,9 +200,8 @@ struct Simulation::State {
         moving[i].orientation = inputs[i].orientation.slerp(share, target_inputs[i].orientation);
         if (k < report.substeps) moving[i].jaw = inputs[i].jaw;
       }
-      substep(dt_s / report.substeps);
+      substep(dt_s / report.substeps, k == report.substeps ? end_s : start_s + share * dt_s);
     }
-    time_s = start_s + dt_s;
     std::copy(target_inputs.begin(), target_inputs.end(), inputs.begin());
 
     const auto start = Clock::now();
@@ -241,7 +249,8 @@ struct Simulation::State {
     events.clear();
     pending_events.clear();
     report = {};
-    time_s = 0.0;
+    time_s = base_s = period_s = 0.0;
+    steps_since_base = 0;
     rows.clear();
     report_needles();
   }
