@@ -6,6 +6,7 @@
 
 #include "commands/check_command.hpp"
 #include "commands/run_command.hpp"
+#include "commands/serve_command.hpp"
 
 int main(int argc, char** argv) {
   CLI::App app("sutured: a haptic server for suturing simulation", "sutured");
@@ -14,6 +15,7 @@ int main(int argc, char** argv) {
   app.footer("Help on one command: sutured COMMAND --help");
 
   int exit_code = 0;
+  sutured::commands::add_serve_command(app, exit_code);
   sutured::commands::add_check_command(app, exit_code);
   sutured::commands::add_run_command(app, exit_code);
   try {

@@ -36,9 +36,9 @@ void print_table(const Status& status, const std::deque<Event>& events) {
       status.simulation_time_s);
   std::printf(
       "scene       %u bodies, %u vertices, %u tets; %u rows (%u unilateral active), %u contacts, "
-      "residual %.1e N\n",
+      "residual %.1e\n",
       status.bodies, status.vertices, status.tets, status.rows, status.active_rows, status.contacts,
-      status.complementarity_residual_n);
+      status.complementarity_residual);
   std::printf(
       "real time   wake-up p50 %5.0f  p99 %5.0f  max %5.0f µs   %llu missed   SCHED_FIFO %s, "
       "memory %s%s%s\n",

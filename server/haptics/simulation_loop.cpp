@@ -21,9 +21,10 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
       period_ns_(std::llround(1e9 / options_.rate_hz)),
       display_period_ns_(std::llround(1e9 / options_.display_rate_hz)),
       inputs_(channels.size()),
+      targets_(channels.size()),
       stress_pa_(simulation_.rest_positions_m().size()) {
   for (std::size_t i = 0; i < channels_.size(); ++i)
-    models_.push_back(std::make_unique<suture::Snapshot<suture::HapticModel>>());
+    models_.push_back(std::make_unique<suture::Snapshot<PublishedModel>>());
   frames_.for_each_place([this](DisplayFrame& frame) {
     for (const simulation::Body& body : simulation_.bodies()) {
       frame.position_m.emplace_back(3 * body.surface_vertices.size());
@@ -51,7 +52,7 @@ std::string SimulationLoop::failure() const {
   return failed_.load(std::memory_order_acquire) ? failure_ : std::string();
 }
 
-const suture::HapticModel* SimulationLoop::next_model(std::size_t tool) noexcept {
+const PublishedModel* SimulationLoop::next_model(std::size_t tool) noexcept {
   return models_[tool]->update() ? &models_[tool]->front() : nullptr;
 }
 
@@ -90,7 +91,7 @@ void SimulationLoop::run() noexcept {
 
 void SimulationLoop::step(std::int64_t now_ns, double dt_s) {
   for (std::size_t i = 0; i < channels_.size(); ++i) {
-    const ToolTarget& target = channels_[i]->target();
+    const ToolTarget& target = targets_[i] = channels_[i]->target();
     simulation::ToolInput& input = inputs_[i];
     input.present = target.present;
     const auto& p = target.pose.position_m;
@@ -115,14 +116,22 @@ void SimulationLoop::publish_models(std::int64_t taken_ns) {
   const std::int64_t stamp_ns = suture::wall_clock_ns() - (suture::monotonic_ns() - taken_ns);
   const auto responses = simulation_.responses();
   for (std::size_t i = 0; i < channels_.size(); ++i) {
-    model_.epoch = epoch();
-    model_.sequence = simulation_.report().step;
-    model_.stamp_ns = stamp_ns;
-    model_.period_ns = period_ns_;
-    model_.stale_after_ns = model_stale_after_ns(period_ns_);
-    fill_model(responses[i], model_);
-    channels_[i]->publish_model(model_, taken_ns, suture::monotonic_ns());
-    models_[i]->publish(model_);
+    const ToolTarget& target = targets_[i];
+    PublishedModel& published = models_[i]->back();
+    suture::HapticModel& model = published.model;
+    model.epoch = epoch();
+    model.sequence = simulation_.report().step;
+    model.stamp_ns = stamp_ns;
+    model.period_ns = period_ns_;
+    model.stale_after_ns = model_stale_after_ns(period_ns_);
+    fill_model(responses[i], model);
+    published.time_s = simulation_.time_s();
+    published.pose_sequence = target.pose_sequence;
+    published.writer = target.writer;
+    published.engaged = target.present;
+    published.mapping = target.mapping;
+    channels_[i]->publish_model(model, taken_ns, suture::monotonic_ns());
+    models_[i]->publish();
   }
 }
 

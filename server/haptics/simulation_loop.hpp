@@ -30,6 +30,16 @@ struct DisplayFrame {
   std::vector<simulation::NeedleState> needles;
 };
 
+/// One tool's model, and what a device needs beside it to render it itself.
+struct PublishedModel {
+  suture::HapticModel model;
+  double time_s = 0.0;
+  std::uint64_t pose_sequence = 0;  ///< of the pose that the step took
+  std::uint64_t writer = 0;         ///< who sent it
+  bool engaged = false;
+  Workspace mapping;
+};
+
 /// Something that happened, and in which world.
 struct LoopEvent {
   std::uint64_t epoch = 0;
@@ -79,7 +89,7 @@ class SimulationLoop {
     return frames_.update() ? &frames_.front() : nullptr;
   }
   /// The last step's model of `tool`, for publishing; null if there is none newer.
-  const suture::HapticModel* next_model(std::size_t tool) noexcept;
+  const PublishedModel* next_model(std::size_t tool) noexcept;
   bool next_event(LoopEvent& event) noexcept { return events_.pop(event); }
   [[nodiscard]] std::uint64_t events_dropped() const noexcept { return events_.dropped(); }
 
@@ -116,8 +126,8 @@ class SimulationLoop {
   std::int64_t period_ns_, display_period_ns_;
 
   std::vector<simulation::ToolInput> inputs_;
-  std::vector<std::unique_ptr<suture::Snapshot<suture::HapticModel>>> models_;
-  suture::HapticModel model_;
+  std::vector<ToolTarget> targets_;  // of the present step
+  std::vector<std::unique_ptr<suture::Snapshot<PublishedModel>>> models_;
   suture::Snapshot<DisplayFrame> frames_;
   BoundedQueue<LoopEvent, 1024> events_;
   std::vector<double> stress_pa_;

@@ -172,7 +172,7 @@ std::optional<ForceSample> ToolChannel::supervise(std::int64_t now_ns) noexcept 
     if (!supervised_) count(counters_.takeovers);
     supervised_ = true;
     force = render(now_ns, true);
-    if (stage_ == Stage::kIdle) publish_target(now_ns);
+    if (stage_ == Stage::kIdle) publish_target();
   }
   let_go();
   // A pose may have been put aside since; the newer answer replaces ours.
@@ -308,11 +308,11 @@ void ToolChannel::accept(const PoseSample& sample, std::int64_t now_ns) noexcept
   }
   pose_ = sample.frame == Frame::kDevice ? workspace_.to_world(sample.pose) : sample.pose;
   jaw_ = std::clamp(sample.jaw, 0.0, 1.0);
-  publish_target(now_ns);
+  publish_target();
 }
 
-void ToolChannel::publish_target(std::int64_t now_ns) noexcept {
-  targets_.publish({stage_ != Stage::kIdle, pose_, jaw_, served_sequence_, now_ns});
+void ToolChannel::publish_target() noexcept {
+  targets_.publish({stage_ != Stage::kIdle, pose_, jaw_, served_sequence_, writer_, workspace_});
 }
 
 void ToolChannel::begin_fading(std::int64_t now_ns) noexcept {
@@ -463,8 +463,12 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   force.from_supervisor = from_supervisor;
   force.wrench = last_;
   count(counters_.forces);
+  // A summary taken in between may lose one tick's age; the next tick brings it back.
+  if (force.model_age_ns > model_age_max_ns_.load(std::memory_order_relaxed))
+    model_age_max_ns_.store(force.model_age_ns, std::memory_order_relaxed);
 
   const double shown_n = magnitude(last_.force_n);
+  silent_.store(shown_n == 0.0 && magnitude(last_.torque_nm) == 0.0, std::memory_order_release);
   peak_force_n_ = std::max(peak_force_n_, shown_n);
   ToolReport& report = reports_.back();
   report.state = force.state;
@@ -478,8 +482,6 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   report.engaged = force.engaged;
   report.shown_force_n = shown_n;
   report.peak_force_n = peak_force_n_;
-  report.mapping = workspace_;
-  report.model_age_ns = force.model_age_ns;
   reports_.publish();
   return force;
 }

@@ -127,7 +127,8 @@ struct ToolTarget {
   suture::Pose pose;  ///< world
   double jaw = 0.0;
   std::uint64_t pose_sequence = 0;
-  std::int64_t taken_ns = 0;
+  std::uint64_t writer = 0;
+  Workspace mapping;  ///< in force
 };
 
 /// How a tool stands, for everyone who only looks.
@@ -143,8 +144,6 @@ struct ToolReport {
   bool engaged = false;
   double shown_force_n = 0.0;  ///< magnitude at the hand
   double peak_force_n = 0.0;   ///< of the same, since construction
-  std::int64_t model_age_ns = 0;
-  Workspace mapping;  ///< in force
 };
 
 /// Counts since construction. Each only grows; a reader that finds one larger than
@@ -202,6 +201,11 @@ class ToolChannel {
   /// Returns the newest report.
   const ToolReport& report() noexcept;
 
+  /// Returns the largest age that a rendered model had since the last call.
+  std::int64_t take_model_age_max_ns() noexcept {
+    return model_age_max_ns_.exchange(0, std::memory_order_relaxed);
+  }
+
   /// Ends the lease if `writer` holds it: it left, or was told to.
   void end_lease(std::uint64_t writer) noexcept;
   /// Returns who holds the lease, 0 for nobody.
@@ -211,6 +215,8 @@ class ToolChannel {
   /// Zero force until `set_stopped(false)`; wins over everything.
   void set_stopped(bool stopped) noexcept { stopped_.store(stopped, std::memory_order_release); }
   [[nodiscard]] bool stopped() const noexcept { return stopped_.load(std::memory_order_acquire); }
+  /// Returns whether the last force sent was zero.
+  [[nodiscard]] bool silent() const noexcept { return silent_.load(std::memory_order_acquire); }
   /// Zero force while the simulation stands still.
   void set_paused(bool paused) noexcept { paused_.store(paused, std::memory_order_release); }
 
@@ -244,7 +250,7 @@ class ToolChannel {
   double ceiling(std::int64_t now_ns) noexcept;
   void note(Fault fault) noexcept;
   void note_while(Fault fault, bool present) noexcept;
-  void publish_target(std::int64_t now_ns) noexcept;
+  void publish_target() noexcept;
   ToolState state() const noexcept;
 
   // Fixed at construction.
@@ -256,9 +262,10 @@ class ToolChannel {
 
   // Shared.
   std::atomic<bool> held_{false};
-  std::atomic<bool> stopped_{false}, paused_{false};
+  std::atomic<bool> stopped_{false}, paused_{false}, silent_{true};
   std::atomic<std::uint64_t> lease_{0};
   std::atomic<std::int64_t> last_arrival_ns_{0};
+  std::atomic<std::int64_t> model_age_max_ns_{0};
   ToolCounters counters_;
   struct Arrival {
     PoseSample sample;

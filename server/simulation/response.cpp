@@ -45,6 +45,7 @@ void ResponseBuilder::build(const constraints::ConstraintRows& rows,
       for (int c = 0; c < 6; ++c) columns_[at(c) * at(m) + at(i)] = rows[i].tool_jacobian[c];
     }
   chosen_.clear();
+  problem.frozen_rows = 0;
   if (felt) {
     solver.condense(columns_.data(), 6, half_, condensed_);
     const auto bounded = solver.bounded();
@@ -64,6 +65,7 @@ void ResponseBuilder::build(const constraints::ConstraintRows& rows,
                          };
                          return margin(a) < margin(b);
                        });
+      problem.frozen_rows = static_cast<int>(chosen_.size()) - CondensedProblem::kRowsMax;
       chosen_.resize(CondensedProblem::kRowsMax);
       std::sort(chosen_.begin(), chosen_.end());
     }

@@ -41,6 +41,7 @@ struct CondensedProblem {
   Vector offset_m;                                                                  ///< q
   Vector multiplier_n;      ///< λ at ξ = 0
   Vector multiplier_max_n;  ///< λ_max, +inf where unbounded
+  int frozen_rows = 0;      ///< rows beyond kRowsMax, farthest from switching, kept as they are
 };
 
 /// What a tool feels, and how that changes with its small motion ξ since `reference`:

@@ -208,7 +208,7 @@ Status to_status(const v1::ServerStatus& wire) {
   status.rows = wire.rows;
   status.active_rows = wire.active_rows;
   status.contacts = wire.contacts;
-  status.complementarity_residual_n = wire.complementarity_residual_n;
+  status.complementarity_residual = wire.complementarity_residual;
   status.frame_rate_hz = wire.frame_rate_hz;
   status.devices = wire.devices;
   status.viewers = wire.viewers;

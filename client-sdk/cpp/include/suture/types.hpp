@@ -255,7 +255,7 @@ struct Status {
   Percentiles write;
   std::uint64_t missed_ticks = 0;
   std::uint32_t bodies = 0, vertices = 0, tets = 0, rows = 0, active_rows = 0, contacts = 0;
-  double complementarity_residual_n = 0.0;
+  double complementarity_residual = 0.0;  ///< dimensionless
   double frame_rate_hz = 0.0;
   std::uint32_t devices = 0, viewers = 0;
   bool sched_fifo = false;

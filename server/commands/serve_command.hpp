@@ -1,0 +1,18 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#pragma once
+
+namespace CLI {
+class App;
+}
+
+namespace sutured::commands {
+
+/// Adds `sutured serve`, which simulates a scene and lets devices feel it until SIGINT,
+/// SIGTERM or its `--duration`. Sets `exit_code` when it runs:
+///
+///     0  ended as asked                       3  another server has this session
+///     1  the scene or the simulation failed   4  the network or a permission is missing
+///     2  the command line is at fault
+void add_serve_command(CLI::App& app, int& exit_code);
+
+}  // namespace sutured::commands

@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "endpoints/force_service.hpp"
+
+#include <algorithm>
+#include <bit>
+
+#include "endpoints/wire.hpp"
+
+namespace sutured::endpoints {
+
+ForceService::ForceService(const suture::Participant& participant,
+                           const std::vector<ServedTool>& tools) {
+  for (const ServedTool& tool : tools) {
+    auto line = std::make_unique<Line>();
+    line->tool_id = suture::tool_id(tool.name);
+    line->channel = tool.channel;
+    lines_.push_back(std::move(line));
+  }
+  forces_ = suture::Writer<suture::v1::ToolForce>(participant);
+  suture::EndpointCallbacks callbacks;
+  callbacks.data_available = [this] { on_poses(); };
+  callbacks.matched = [this](int) { peers_changed_.store(true, std::memory_order_relaxed); };
+  poses_ = suture::Reader<suture::v1::ToolPose>(participant, std::move(callbacks));
+  // The listener may have been called while the reader was still being made.
+  ready_.store(true, std::memory_order_release);
+}
+
+void ForceService::on_poses() noexcept {
+  if (!ready_.load(std::memory_order_acquire)) return;
+  suture::v1::ToolPose pose;
+  suture::SampleInfo info;
+  while (poses_.take(pose, info)) {
+    // A loss of liveliness changes no lease: the force ends by the age of the last pose,
+    // and a device that was only held up shall not drop its needle.
+    if (!info.valid) continue;
+    const std::int64_t taken_ns = suture::monotonic_ns();
+    const auto found = std::find_if(lines_.begin(), lines_.end(), [&](const auto& line) {
+      return line->tool_id == pose.tool_id;
+    });
+    if (found == lines_.end()) {
+      strangers_.fetch_add(1, std::memory_order_relaxed);
+      continue;
+    }
+    Line& line = **found;
+    remember(info.writer);
+    if (const auto force = line.channel->on_pose(pose_sample(pose, info.writer), taken_ns)) {
+      const std::int64_t computed_ns = suture::monotonic_ns();
+      send(line, *force);
+      const std::int64_t sent_ns = suture::monotonic_ns();
+      write_times_.record(sent_ns - computed_ns);
+      line.tick_times.record(sent_ns - taken_ns);
+    }
+  }
+}
+
+void ForceService::tick(std::int64_t now_ns) noexcept {
+  for (const auto& line : lines_)
+    if (const auto force = line->channel->supervise(now_ns)) send(*line, *force);
+}
+
+void ForceService::send(const Line& line, const haptics::ForceSample& force) noexcept {
+  suture::v1::ToolForce wire{};
+  wire.tool_id = line.tool_id;
+  suture::set_guid(wire.device, guid_of_writer(force.writer));
+  wire.stamp_ns = suture::wall_clock_ns();
+  set_force(wire, force);
+  forces_.write(wire);
+}
+
+void ForceService::remember(std::uint64_t writer) noexcept {
+  for (const KnownWriter& known : writers_)
+    if (known.handle.load(std::memory_order_relaxed) == writer) return;
+  const auto guid = poses_.writer_guid(writer);
+  if (!guid) return;
+  KnownWriter& place = writers_[next_writer_];
+  next_writer_ = (next_writer_ + 1) % writers_.size();
+  const auto words = std::bit_cast<std::array<std::uint64_t, 2>>(*guid);
+  place.handle.store(0, std::memory_order_release);
+  place.guid[0].store(words[0], std::memory_order_relaxed);
+  place.guid[1].store(words[1], std::memory_order_relaxed);
+  place.handle.store(writer, std::memory_order_release);
+}
+
+suture::Guid ForceService::guid_of_writer(std::uint64_t writer) const noexcept {
+  if (writer == 0) return suture::kNobody;
+  for (const KnownWriter& known : writers_) {
+    if (known.handle.load(std::memory_order_acquire) != writer) continue;
+    return std::bit_cast<suture::Guid>(
+        std::array<std::uint64_t, 2>{known.guid[0].load(std::memory_order_relaxed),
+                                     known.guid[1].load(std::memory_order_relaxed)});
+  }
+  return suture::kNobody;
+}
+
+void ForceService::end_leases_of_the_departed() noexcept {
+  if (!peers_changed_.exchange(false, std::memory_order_relaxed)) return;
+  std::array<dds_instance_handle_t, 256> present;
+  const dds_return_t found =
+      dds_get_matched_publications(poses_.handle(), present.data(), present.size());
+  if (found < 0) return;
+  const auto end = present.begin() + std::min<std::size_t>(found, present.size());
+  for (const auto& line : lines_) {
+    const std::uint64_t holder = line->channel->lease();
+    if (holder != 0 && std::find(present.begin(), end, holder) == end)
+      line->channel->end_lease(holder);
+  }
+}
+
+}  // namespace sutured::endpoints

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// A pose in, a force out, on the receive thread of the control domain.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "haptics/period_latency.hpp"
+#include "haptics/tool_channel.hpp"
+#include "protocol/endpoint.hpp"
+
+namespace sutured::endpoints {
+
+/// One tool of the scene with its channel.
+struct ServedTool {
+  std::string name;
+  std::string kind;  ///< driver, probe
+  haptics::ToolChannel* channel = nullptr;
+};
+
+/// Answers the poses of all tools over DDS.
+///
+/// The pose listener runs on Cyclone's receive thread; it, and `tick` on the supervisor,
+/// are the only writers of forces. Both allocate nothing and log nothing; the one
+/// exception is a writer's first pose, whose GUID Cyclone is asked for.
+class ForceService {
+ public:
+  /// Throws suture::Error. `tools` and their channels outlive it.
+  ForceService(const suture::Participant& participant, const std::vector<ServedTool>& tools);
+  ForceService(const ForceService&) = delete;
+  ForceService& operator=(const ForceService&) = delete;
+
+  /// The supervisor's tick.
+  void tick(std::int64_t now_ns) noexcept;
+
+  /// Ends the leases of writers that have left. Any one thread, now and then.
+  void end_leases_of_the_departed() noexcept;
+
+  /// Returns the GUID of a writer that sent a pose; nobody where it is unknown.
+  [[nodiscard]] suture::Guid guid_of_writer(std::uint64_t writer) const noexcept;
+
+  /// Returns how long it took from a pose in hand to its force written, since the last
+  /// call, for one tool. One caller.
+  haptics::LatencySummary take_tick_times(std::size_t tool) noexcept {
+    return lines_[tool]->tick_times.take();
+  }
+  /// The same of `dds_write` alone, for all tools.
+  haptics::LatencySummary take_write_times() noexcept { return write_times_.take(); }
+  /// Returns how many poses named a tool that the scene has not.
+  [[nodiscard]] std::uint64_t strangers() const noexcept {
+    return strangers_.load(std::memory_order_relaxed);
+  }
+
+ private:
+  struct Line {
+    std::uint64_t tool_id = 0;
+    haptics::ToolChannel* channel = nullptr;
+    haptics::PeriodLatency tick_times;
+  };
+  /// A writer seen. Written by the receive thread only, oldest replaced.
+  struct KnownWriter {
+    std::atomic<std::uint64_t> handle{0};
+    std::array<std::atomic<std::uint64_t>, 2> guid{};
+  };
+
+  void on_poses() noexcept;
+  void remember(std::uint64_t writer) noexcept;
+  void send(const Line& line, const haptics::ForceSample& force) noexcept;
+
+  std::vector<std::unique_ptr<Line>> lines_;
+  std::array<KnownWriter, 64> writers_;
+  std::size_t next_writer_ = 0;
+  haptics::PeriodLatency write_times_;  // of the receive thread
+  std::atomic<std::uint64_t> strangers_{0};
+  std::atomic<bool> ready_{false}, peers_changed_{false};
+  suture::Writer<suture::v1::ToolForce> forces_;
+  suture::Reader<suture::v1::ToolPose> poses_;  // last: its listener uses all of the above
+};
+
+}  // namespace sutured::endpoints

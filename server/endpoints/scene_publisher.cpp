@@ -1,0 +1,486 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "endpoints/scene_publisher.hpp"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <cmath>
+#include <span>
+#include <string_view>
+#include <utility>
+
+#include "endpoints/wire.hpp"
+#include "needle/curve.hpp"
+
+namespace sutured::endpoints {
+namespace {
+
+constexpr std::int64_t kBeat_ns = 10'000'000;
+constexpr std::int64_t kStatusPeriod_ns = 500'000'000;
+// A fault that lasts, or comes a thousand times a second, is told once a second.
+constexpr std::int64_t kFaultPeriod_ns = 1'000'000'000;
+constexpr int kCoursePoints = 33;
+
+constexpr std::array<std::string_view, haptics::kFaultCount> kFaultTexts{
+    "no pose in time: the force fades",
+    "a pose that is not finite: the force fades",
+    "a quaternion that is not of unit length: the force fades",
+    "a pose that jumps: the force fades",
+    "more than 4000 poses a second: the rest is dropped",
+    "a pose out of order: dropped",
+    "a jaw outside 0 ... 1: the force fades",
+    "the simulation is late: the force fades",
+    "a model that is not finite: refused",
+    "a tick ran out of pivots: multipliers clamped",
+    "the force is at its limit",
+    "the force changes as fast as it may",
+    "passivity bound passed",
+    "stopped: zero force until a resume",
+    "another device wants this tool",
+};
+
+std::string host_name() {
+  std::array<char, 65> name{};
+  return gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "";
+}
+
+}  // namespace
+
+ScenePublisher::ScenePublisher(const suture::Participant& control, const suture::Participant& mesh,
+                               Served served)
+    : served_(std::move(served)),
+      started_ns_(suture::wall_clock_ns()),
+      status_(control),
+      events_(control),
+      commands_(control),
+      replies_(control),
+      topologies_(mesh),
+      frames_(mesh),
+      tools_(mesh),
+      needles_(mesh),
+      told_(served_.tools.size()),
+      tool_status_(served_.tools.size()) {
+  guid_ = status_.guid();
+  status_ns_ = suture::monotonic_ns();
+  publish_topology();
+  publish_status(state(), "");
+  notice(suture_v1_EVENT_STARTED, "scene " + served_.scene.name);
+  thread_ = std::thread([this] { run(); });
+}
+
+ScenePublisher::~ScenePublisher() {
+  stop_.store(true);
+  if (thread_.joinable()) thread_.join();
+}
+
+void ScenePublisher::finish(const std::string& reason) noexcept {
+  stop_.store(true);
+  if (thread_.joinable()) thread_.join();
+  try {
+    publish_events(suture::monotonic_ns());
+    publish_status(suture_v1_SERVER_LEAVING, reason);
+  } catch (const std::bad_alloc&) {
+    return;
+  }
+  constexpr std::chrono::milliseconds kPatience(200);
+  status_.wait_for_acknowledgements(kPatience);
+  events_.wait_for_acknowledgements(kPatience);
+}
+
+void ScenePublisher::run() noexcept {
+  haptics::name_thread("publisher");
+  std::int64_t due_ns = suture::monotonic_ns() + kBeat_ns;
+  while (!stop_.load(std::memory_order_relaxed)) {
+    haptics::sleep_until(due_ns);
+    const std::int64_t now_ns = suture::monotonic_ns();
+    served_.forces.end_leases_of_the_departed();
+    obey();
+    finish_resets();
+    publish_events(now_ns);
+    if (served_.loop.epoch() != topology_epoch_) publish_topology();
+    if (const haptics::DisplayFrame* frame = served_.loop.next_frame()) publish_frame(*frame);
+    if (now_ns - status_ns_ >= kStatusPeriod_ns) publish_status(state(), served_.loop.failure());
+    due_ns = haptics::next_tick(due_ns, suture::monotonic_ns(), kBeat_ns).at_ns;
+  }
+}
+
+// ------------------------------------------------------------------ the scene
+
+void ScenePublisher::publish_topology() {
+  topology_epoch_ = served_.loop.epoch();
+  const auto rest = served_.loop.rest_positions_m();
+  for (const simulation::Body& body : served_.loop.bodies()) {
+    std::vector<std::uint32_t> vertex, triangle;
+    std::vector<float> position;
+    std::vector<std::uint32_t> place(static_cast<std::size_t>(body.vertex_count));
+    for (const std::int32_t v : body.surface_vertices) {
+      place[static_cast<std::size_t>(v)] = static_cast<std::uint32_t>(vertex.size());
+      vertex.push_back(static_cast<std::uint32_t>(v));
+      for (int k = 0; k < 3; ++k)
+        position.push_back(
+            static_cast<float>(rest[static_cast<std::size_t>(body.first_vertex + v)][k]));
+    }
+    for (const auto& corners : body.surface)
+      for (const std::int32_t v : corners) triangle.push_back(place[static_cast<std::size_t>(v)]);
+    suture::v1::MeshTopology wire{};
+    suture::set_text(wire.body, body.name);
+    wire.epoch = topology_epoch_;
+    wire.sequence_number = 1;
+    wire.stamp_ns = suture::wall_clock_ns();
+    wire.revision = 1;
+    suture::lend(wire.vertex, std::span<const std::uint32_t>(vertex));
+    suture::lend(wire.rest_position_m, std::span<const float>(position));
+    suture::lend(wire.triangle, std::span<const std::uint32_t>(triangle));
+    topologies_.write(wire);
+  }
+}
+
+void ScenePublisher::publish_frame(const haptics::DisplayFrame& frame) {
+  ++frames_since_;
+  ++frame_sequence_;
+  report_ = frame.report;
+  time_s_ = frame.time_s;
+  const auto bodies = served_.loop.bodies();
+  for (std::size_t b = 0; b < bodies.size(); ++b) {
+    suture::v1::MeshFrame wire{};
+    suture::set_text(wire.body, bodies[b].name);
+    wire.epoch = frame.epoch;
+    wire.sequence_number = frame_sequence_;
+    wire.stamp_ns = frame.stamp_ns;
+    wire.revision = 1;
+    wire.step = frame.step;
+    wire.simulation_time_s = frame.time_s;
+    suture::lend(wire.position_m, std::span<const float>(frame.position_m[b]));
+    suture::lend(wire.von_mises_pa, std::span<const float>(frame.von_mises_pa[b]));
+    frames_.write(wire);
+  }
+  publish_needles(frame);
+  publish_tools(frame);
+}
+
+void ScenePublisher::publish_needles(const haptics::DisplayFrame& frame) {
+  for (std::size_t n = 0; n < frame.needles.size(); ++n) {
+    const simulation::NeedleState& state = frame.needles[n];
+    const scene::Needle& needle = served_.scene.needles[n];
+    const needle::Curve curve = needle::Curve::of(needle);
+    const scene::Pose pose{state.position_m, state.orientation};
+    course_m_.clear();
+    for (int i = 0; i < kCoursePoints; ++i) {
+      const double from_tip = curve.length_m() * i / (kCoursePoints - 1);
+      const auto p = curve.point(pose, curve.length_m() - from_tip);
+      course_m_.insert(course_m_.end(), {p.x(), p.y(), p.z()});
+    }
+    suture::v1::NeedleState wire{};
+    suture::set_text(wire.needle, needle.name);
+    wire.epoch = frame.epoch;
+    wire.sequence_number = frame_sequence_;
+    wire.stamp_ns = frame.stamp_ns;
+    wire.shape = curve.is_arc() ? suture_v1_NEEDLE_ARC : suture_v1_NEEDLE_STRAIGHT;
+    wire.radius_m = curve.radius_m();
+    wire.length_m = curve.length_m();
+    wire.diameter_m = needle.diameter_m;
+    for (int i = 0; i < 3; ++i) wire.position_m[i] = state.position_m[i];
+    for (int i = 0; i < 4; ++i) wire.orientation_xyzw[i] = state.orientation.coeffs()[i];
+    if (state.holder >= 0)
+      suture::set_text(wire.holder, served_.tools[static_cast<std::size_t>(state.holder)].name);
+    wire.tip_inside = state.tip_inside;
+    wire.tip_force_n = state.tip_force_n;
+    wire.embedded_length_m = state.embedded_length_m;
+    wire.active_cells = static_cast<std::uint32_t>(state.active_cells);
+    suture::lend(wire.course_m, std::span<const double>(course_m_));
+    needles_.write(wire);
+  }
+}
+
+void ScenePublisher::publish_tools(const haptics::DisplayFrame& frame) {
+  for (std::size_t i = 0; i < served_.tools.size(); ++i) {
+    const haptics::ToolReport& report = served_.tools[i].channel->report();
+    suture::v1::ToolView wire{};
+    suture::set_text(wire.tool, served_.tools[i].name);
+    wire.epoch = frame.epoch;
+    wire.sequence_number = frame_sequence_;
+    wire.stamp_ns = frame.stamp_ns;
+    suture::set_text(wire.kind, served_.tools[i].kind);
+    wire.state = wire_state(report.state);
+    wire.faults = report.faults;
+    if (report.touching) wire.flags |= suture_v1_FORCE_TOUCHING;
+    if (report.engaged) wire.flags |= suture_v1_FORCE_ENGAGED;
+    std::copy(report.pose.position_m.begin(), report.pose.position_m.end(), wire.position_m);
+    std::copy(report.pose.orientation_xyzw.begin(), report.pose.orientation_xyzw.end(),
+              wire.orientation_xyzw);
+    wire.jaw = report.jaw;
+    std::copy(report.wrench.force_n.begin(), report.wrench.force_n.end(), wire.force_n);
+    std::copy(report.wrench.torque_nm.begin(), report.wrench.torque_nm.end(), wire.torque_nm);
+    for (std::size_t n = 0; n < frame.needles.size(); ++n) {
+      if (frame.needles[n].holder != static_cast<int>(i)) continue;
+      wire.flags |= suture_v1_FORCE_HOLDING;
+      suture::set_text(wire.holding, served_.scene.needles[n].name);
+    }
+    tools_.write(wire);
+  }
+}
+
+// ------------------------------------------------------------------ events
+
+void ScenePublisher::publish_event(suture::v1::Event& event) {
+  if (event.epoch == 0) event.epoch = served_.loop.epoch();
+  event.sequence_number = ++event_sequence_;
+  event.stamp_ns = suture::wall_clock_ns();
+  events_.write(event);
+}
+
+void ScenePublisher::notice(suture_v1_EventKind kind, const std::string& text) {
+  suture::v1::Event event{};
+  event.kind = kind;
+  event.simulation_time_s = time_s_;
+  suture::set_text(event.text, text);
+  publish_event(event);
+}
+
+void ScenePublisher::publish_events(std::int64_t now_ns) {
+  haptics::LoopEvent happened;
+  while (served_.loop.next_event(happened)) {
+    suture::v1::Event event{};
+    set_event(event, happened.event);
+    event.epoch = happened.epoch;
+    event.step = happened.step;
+    publish_event(event);
+  }
+  if (const std::uint64_t dropped = served_.loop.events_dropped();
+      dropped != events_dropped_told_) {
+    notice(suture_v1_EVENT_NOTICE, std::to_string(dropped - events_dropped_told_) +
+                                       " events were dropped: more than 1024 waited");
+    events_dropped_told_ = dropped;
+  }
+  if (const std::uint64_t overruns = served_.loop.overruns();
+      overruns != overruns_told_ && now_ns - overruns_told_ns_ >= kFaultPeriod_ns) {
+    suture::v1::Event event{};
+    event.kind = suture_v1_EVENT_OVERRUN;
+    event.simulation_time_s = time_s_;
+    event.value = static_cast<double>(overruns - overruns_told_);
+    suture::set_text(event.text, "periods of the simulation's clock were missed");
+    publish_event(event);
+    overruns_told_ = overruns;
+    overruns_told_ns_ = now_ns;
+  }
+  for (std::size_t i = 0; i < served_.tools.size(); ++i) tell_channel(i, now_ns);
+}
+
+void ScenePublisher::tell_channel(std::size_t tool, std::int64_t now_ns) {
+  Told& told = told_[tool];
+  const haptics::ToolChannel& channel = *served_.tools[tool].channel;
+  const haptics::ToolCounters& counters = channel.counters();
+  const auto tell = [&](suture_v1_EventKind kind, std::uint64_t count, std::string_view text,
+                        std::uint32_t faults, std::uint64_t device) {
+    suture::v1::Event event{};
+    event.kind = kind;
+    event.simulation_time_s = time_s_;
+    suture::set_text(event.subject, served_.tools[tool].name);
+    event.value = static_cast<double>(count);
+    event.faults = faults;
+    suture::set_guid(event.device, served_.forces.guid_of_writer(device));
+    suture::set_text(event.text, text);
+    publish_event(event);
+  };
+  const auto tell_count = [&](const std::atomic<std::uint64_t>& counter, std::uint64_t& then,
+                              suture_v1_EventKind kind, std::string_view text,
+                              std::uint64_t device) {
+    const std::uint64_t count = counter.load(std::memory_order_relaxed);
+    if (count != then) tell(kind, count - then, text, 0, device);
+    then = count;
+  };
+  const std::uint64_t holder = channel.lease();
+  tell_count(counters.returns, told.returns, suture_v1_EVENT_TOOL_RETURNED, "the tool is free",
+             told.lease_holder);
+  tell_count(counters.leases, told.leases, suture_v1_EVENT_TOOL_LEASED, "a device holds the tool",
+             holder);
+  if (holder != 0) told.lease_holder = holder;
+  for (int i = 0; i < haptics::kFaultCount; ++i) {
+    const auto fault = static_cast<haptics::Fault>(i);
+    const std::uint64_t count = counters.of(fault);
+    if (count == told.faults[i] || (told.at_ns[i] != 0 && now_ns - told.at_ns[i] < kFaultPeriod_ns))
+      continue;
+    const auto kind = fault == haptics::Fault::kToolInUse ? suture_v1_EVENT_TOOL_IN_USE
+                      : fault == haptics::Fault::kStopped ? suture_v1_EVENT_STOPPED
+                      : fault == haptics::Fault::kForceLimit || fault == haptics::Fault::kSlewLimit
+                          ? suture_v1_EVENT_LIMIT
+                          : suture_v1_EVENT_FAULT;
+    tell(kind, count - told.faults[i], kFaultTexts[i], haptics::fault_bit(fault), holder);
+    told.faults[i] = count;
+    told.at_ns[i] = now_ns;
+  }
+  tell_count(counters.recoveries, told.recoveries, suture_v1_EVENT_RECOVERED,
+             "the force is whole again", holder);
+}
+
+// ------------------------------------------------------------------ commands
+
+void ScenePublisher::obey() {
+  suture::v1::Command command;
+  suture::SampleInfo info;
+  while (commands_.take(command, info)) {
+    if (!info.valid) continue;
+    suture::v1::CommandReply reply = execute(command);
+    std::copy(std::begin(command.requester), std::end(command.requester), reply.requester);
+    reply.request = command.request;
+    reply.kind = command.kind;
+    if (command.kind == suture_v1_COMMAND_RESET && reply.result == suture_v1_COMMAND_DONE) {
+      resets_.push_back({reply, served_.loop.epoch()});
+      served_.loop.reset();
+      continue;
+    }
+    reply.epoch = served_.loop.epoch();
+    reply.stamp_ns = suture::wall_clock_ns();
+    replies_.write(reply);
+  }
+}
+
+suture::v1::CommandReply ScenePublisher::execute(const suture::v1::Command& command) {
+  suture::v1::CommandReply reply{};
+  reply.result = suture_v1_COMMAND_DONE;
+  const auto refuse = [&](suture_v1_CommandResult result, const std::string& text) {
+    reply.result = result;
+    suture::set_text(reply.text, text);
+    return reply;
+  };
+  const std::string who(suture::text_of(command.requester_name));
+  const auto set_stopped = [&](bool stopped) {
+    stopped_ = stopped;
+    for (const ServedTool& tool : served_.tools) tool.channel->set_stopped(stopped);
+  };
+  switch (command.kind) {
+    case suture_v1_COMMAND_PAUSE:
+      served_.loop.pause(true);
+      notice(suture_v1_EVENT_PAUSED, who);
+      return reply;
+    case suture_v1_COMMAND_RESUME:
+      set_stopped(false);
+      served_.loop.pause(false);
+      notice(suture_v1_EVENT_RESUMED, who);
+      return reply;
+    case suture_v1_COMMAND_RESET:
+      if (!served_.loop.failure().empty())
+        return refuse(suture_v1_COMMAND_REFUSED,
+                      "the simulation has ended: " + served_.loop.failure());
+      return reply;
+    case suture_v1_COMMAND_STOP:
+      set_stopped(true);
+      return reply;
+    case suture_v1_COMMAND_RELEASE_TOOL: {
+      const std::string_view name = suture::text_of(command.tool);
+      const auto found = std::find_if(served_.tools.begin(), served_.tools.end(),
+                                      [&](const ServedTool& tool) { return tool.name == name; });
+      if (found == served_.tools.end())
+        return refuse(suture_v1_COMMAND_REFUSED,
+                      "the scene has no tool \"" + std::string(name) + "\"");
+      if (found->channel->lease() == 0)
+        return refuse(suture_v1_COMMAND_REFUSED, "nobody holds that tool");
+      found->channel->end_lease(found->channel->lease());
+      return reply;
+    }
+  }
+  return refuse(suture_v1_COMMAND_NOT_SUPPORTED, "this server does not know that command");
+}
+
+void ScenePublisher::finish_resets() {
+  std::erase_if(resets_, [this](PendingReset& pending) {
+    const std::uint64_t epoch = served_.loop.epoch();
+    if (epoch == pending.epoch_before) return false;
+    notice(suture_v1_EVENT_RESET, "");
+    pending.reply.epoch = epoch;
+    pending.reply.stamp_ns = suture::wall_clock_ns();
+    replies_.write(pending.reply);
+    return true;
+  });
+}
+
+// ------------------------------------------------------------------ status
+
+suture_v1_ServerState ScenePublisher::state() const {
+  if (stopped_ || !served_.loop.failure().empty()) return suture_v1_SERVER_STOPPED;
+  if (served_.loop.paused()) return suture_v1_SERVER_PAUSED;
+  return served_.loop.steps() > 0 ? suture_v1_SERVER_RUNNING : suture_v1_SERVER_STARTING;
+}
+
+void ScenePublisher::publish_status(suture_v1_ServerState state, const std::string& reason) {
+  const std::int64_t now_ns = suture::monotonic_ns();
+  const double elapsed_s = std::max(static_cast<double>(now_ns - status_ns_) * 1e-9, 1e-3);
+  status_ns_ = now_ns;
+
+  suture::v1::ServerStatus status{};
+  status.epoch = served_.loop.epoch();
+  status.sequence_number = ++status_sequence_;
+  status.stamp_ns = suture::wall_clock_ns();
+  status.protocol_version = suture_v1_PROTOCOL_VERSION;
+  suture::set_text(status.server_version, served_.version);
+  suture::set_guid(status.server, guid_);
+  suture::set_text(status.session, served_.session);
+  suture::set_text(status.host, host_name());
+  status.pid = getpid();
+  status.started_ns = started_ns_;
+  status.state = state;
+  suture::set_text(status.state_reason, reason);
+  suture::set_text(status.scene, served_.scene.name);
+  status.simulation_time_s = time_s_;
+  status.steps = served_.loop.steps();
+  status.rate_hz = served_.rate_hz;
+  status.achieved_rate_hz = static_cast<double>(status.steps - steps_then_) / elapsed_s;
+  steps_then_ = status.steps;
+  status.overruns = served_.loop.overruns();
+  status.step = percentiles(served_.loop.take_step_times());
+  status.wakeup = percentiles(served_.supervisor.take_wakeup());
+  status.write = percentiles(served_.forces.take_write_times());
+  status.missed_ticks = served_.supervisor.missed_ticks();
+  status.bodies = static_cast<std::uint32_t>(served_.loop.bodies().size());
+  status.vertices = static_cast<std::uint32_t>(served_.loop.rest_positions_m().size());
+  status.tets = static_cast<std::uint32_t>(served_.loop.tet_count());
+  status.rows = static_cast<std::uint32_t>(report_.rows);
+  status.active_rows = static_cast<std::uint32_t>(report_.active_unilateral_rows);
+  status.contacts = static_cast<std::uint32_t>(report_.contacts);
+  status.complementarity_residual = report_.complementarity_residual;
+  status.frame_rate_hz = static_cast<double>(frames_since_) / elapsed_s;
+  frames_since_ = 0;
+  status.viewers = static_cast<std::uint32_t>(frames_.matched());
+  status.sched_fifo = served_.supervisor.realtime();
+  status.memory_locked = served_.realtime.memory_locked;
+  suture::set_text(status.realtime_note, served_.realtime.note);
+
+  for (std::size_t i = 0; i < served_.tools.size(); ++i) {
+    haptics::ToolChannel& channel = *served_.tools[i].channel;
+    const haptics::ToolReport& report = channel.report();
+    const haptics::ToolCounters& counters = channel.counters();
+    Told& told = told_[i];
+    suture::v1::ToolStatus& tool = tool_status_[i];
+    tool = {};
+    suture::set_text(tool.tool, served_.tools[i].name);
+    suture::set_text(tool.kind, served_.tools[i].kind);
+    const std::uint64_t holder = channel.lease();
+    tool.leased = holder != 0;
+    status.devices += tool.leased ? 1 : 0;
+    suture::set_guid(tool.device, served_.forces.guid_of_writer(holder));
+    tool.state = wire_state(report.state);
+    tool.faults = report.faults;
+    for (int f = 0; f < haptics::kFaultCount; ++f)
+      tool.fault_count += static_cast<std::uint32_t>(counters.of(static_cast<haptics::Fault>(f)));
+    tool.poses = counters.poses.load(std::memory_order_relaxed);
+    const std::uint64_t forces = counters.forces.load(std::memory_order_relaxed);
+    tool.pose_rate_hz = static_cast<double>(tool.poses - told.poses) / elapsed_s;
+    tool.force_rate_hz = static_cast<double>(forces - told.forces) / elapsed_s;
+    told.poses = tool.poses;
+    told.forces = forces;
+    tool.poses_lost = counters.poses_lost.load(std::memory_order_relaxed);
+    tool.poses_dropped = counters.poses_dropped.load(std::memory_order_relaxed);
+    tool.takeovers = counters.takeovers.load(std::memory_order_relaxed);
+    tool.force_n = report.shown_force_n;
+    tool.peak_force_n = report.peak_force_n;
+    tool.model_age_ms = static_cast<double>(channel.take_model_age_max_ns()) * 1e-6;
+    tool.tick = percentiles(served_.forces.take_tick_times(i));
+    tool.frozen_rows = served_.models.frozen_rows(i);
+    tool.max_force_n = channel.limits().max_force_n;
+    tool.stale_after_ms = static_cast<double>(channel.pose_stale_after_ns()) * 1e-6;
+  }
+  suture::lend(status.tools, std::span<const suture::v1::ToolStatus>(tool_status_));
+  status_.write(status);
+}
+
+}  // namespace sutured::endpoints

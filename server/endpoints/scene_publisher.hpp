@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// What is not felt: status, events, commands, and the scene for viewers.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "endpoints/force_service.hpp"
+#include "endpoints/model_publisher.hpp"
+#include "haptics/realtime.hpp"
+#include "haptics/simulation_loop.hpp"
+#include "haptics/supervisor.hpp"
+#include "scene/scene.hpp"
+
+namespace sutured::endpoints {
+
+/// Everything that the publisher looks at; all of it outlives the publisher.
+struct Served {
+  const scene::Scene& scene;
+  const std::vector<ServedTool>& tools;
+  ForceService& forces;
+  ModelPublisher& models;
+  haptics::SimulationLoop& loop;
+  haptics::Supervisor& supervisor;
+  const haptics::RealtimeReport& realtime;
+  double rate_hz = 0.0;
+  std::string session, version;
+};
+
+/// Sends what viewers and people see, on one thread that nobody waits for: every 10 ms
+/// commands, events and leases, twice a second the status, at most 60 times a second
+/// frames.
+class ScenePublisher {
+ public:
+  /// Publishes the bodies at rest and begins. Throws suture::Error.
+  ScenePublisher(const suture::Participant& control, const suture::Participant& mesh,
+                 Served served);
+  ~ScenePublisher();
+  ScenePublisher(const ScenePublisher&) = delete;
+  ScenePublisher& operator=(const ScenePublisher&) = delete;
+
+  /// Tells once more how things stand, as `leaving`, and ends.
+  void finish(const std::string& reason) noexcept;
+
+ private:
+  /// How far the counters of a tool have been told as events.
+  struct Told {
+    std::array<std::uint64_t, haptics::kFaultCount> faults{};
+    std::array<std::int64_t, haptics::kFaultCount> at_ns{};
+    std::uint64_t leases = 0, returns = 0, recoveries = 0;
+    std::uint64_t poses = 0, forces = 0;  // at the last status
+    std::uint64_t lease_holder = 0;
+  };
+  struct PendingReset {
+    suture::v1::CommandReply reply;
+    std::uint64_t epoch_before;
+  };
+
+  void run() noexcept;
+  void publish_topology();
+  void publish_frame(const haptics::DisplayFrame& frame);
+  void publish_needles(const haptics::DisplayFrame& frame);
+  void publish_tools(const haptics::DisplayFrame& frame);
+  void publish_status(suture_v1_ServerState state, const std::string& reason);
+  void publish_events(std::int64_t now_ns);
+  void publish_event(suture::v1::Event& event);
+  void tell_channel(std::size_t tool, std::int64_t now_ns);
+  void obey();
+  suture::v1::CommandReply execute(const suture::v1::Command& command);
+  void finish_resets();
+  void notice(suture_v1_EventKind kind, const std::string& text);
+  suture_v1_ServerState state() const;
+
+  Served served_;
+  std::int64_t started_ns_;
+  suture::Guid guid_{};
+
+  suture::Writer<suture::v1::ServerStatus> status_;
+  suture::Writer<suture::v1::Event> events_;
+  suture::Reader<suture::v1::Command> commands_;
+  suture::Writer<suture::v1::CommandReply> replies_;
+  suture::Writer<suture::v1::MeshTopology> topologies_;
+  suture::Writer<suture::v1::MeshFrame> frames_;
+  suture::Writer<suture::v1::ToolView> tools_;
+  suture::Writer<suture::v1::NeedleState> needles_;
+
+  std::vector<Told> told_;
+  std::vector<suture::v1::ToolStatus> tool_status_;
+  std::vector<double> course_m_;
+  std::vector<PendingReset> resets_;
+  simulation::StepReport report_;  // of the last frame
+  std::uint64_t status_sequence_ = 0, event_sequence_ = 0, frame_sequence_ = 0;
+  std::uint64_t topology_epoch_ = 0, events_dropped_told_ = 0, overruns_told_ = 0;
+  std::uint64_t steps_then_ = 0, frames_since_ = 0;
+  std::int64_t status_ns_ = 0;
+  double time_s_ = 0.0;
+  std::int64_t overruns_told_ns_ = 0;
+  bool stopped_ = false;
+
+  std::atomic<bool> stop_{false};
+  std::thread thread_;
+};
+
+}  // namespace sutured::endpoints

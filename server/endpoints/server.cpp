@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "endpoints/server.hpp"
+
+#include <chrono>
+#include <cmath>
+#include <optional>
+#include <sstream>
+#include <utility>
+#include <vector>
+
+#include "endpoints/force_service.hpp"
+#include "endpoints/model_publisher.hpp"
+#include "endpoints/scene_publisher.hpp"
+#include "haptics/simulation_loop.hpp"
+#include "haptics/supervisor.hpp"
+#include "protocol/rendezvous.hpp"
+#include "simulation/simulation.hpp"
+
+namespace sutured::endpoints {
+namespace {
+
+// How long to listen for another server of the session. Discovery and a status kept for
+// late joiners take tens of milliseconds on a quiet network.
+constexpr std::chrono::milliseconds kListen(600);
+constexpr std::int64_t kFadePatience_ns = 100 * haptics::kMillisecond_ns;
+
+void refuse_a_second_server(const suture::Participant& control) {
+  const auto other = suture::find_other_server(control, kListen);
+  if (!other) return;
+  const auto& options = control.options();
+  const std::string session =
+      options.session.empty() ? "the default session" : "session \"" + options.session + "\"";
+  throw suture::Error(suture::ErrorCode::kServerRunning,
+                      session + " of domain " + std::to_string(options.domain) +
+                          " has a server: scene \"" + other->scene + "\", process " +
+                          std::to_string(other->pid) + " on " + other->host,
+                      "end that one, or start this one with another --session or --domain");
+}
+
+}  // namespace
+
+struct Server::State {
+  State(scene::Scene scene_in, Options options_in)
+      : scene(std::move(scene_in)), options(std::move(options_in)) {
+    if (options.rate_hz <= 0.0) options.rate_hz = scene.rate_hz;
+  }
+  ~State() { tear_down(); }
+
+  // The simulation's thread calls `models`, whose thread reads from `loop`: both threads
+  // end before either object does.
+  void tear_down() noexcept {
+    publisher.reset();
+    supervisor.reset();
+    if (loop) loop->stop();
+    if (models) models->stop();
+    models.reset();
+    loop.reset();
+    forces.reset();
+    mesh.reset();
+    control.reset();
+  }
+
+  scene::Scene scene;
+  Options options;
+  haptics::RealtimeReport realtime;
+  std::chrono::steady_clock::time_point started = std::chrono::steady_clock::now();
+
+  std::optional<suture::Participant> control, mesh;
+  std::vector<std::unique_ptr<haptics::ToolChannel>> channels;
+  std::vector<ServedTool> tools;
+  std::optional<ForceService> forces;
+  std::optional<ModelPublisher> models;
+  std::optional<haptics::SimulationLoop> loop;
+  std::optional<haptics::Supervisor> supervisor;
+  std::optional<ScenePublisher> publisher;
+};
+
+Server::Server(scene::Scene scene, Options options)
+    : state_(std::make_unique<State>(std::move(scene), std::move(options))) {
+  State& s = *state_;
+  // Before any other thread starts, so that all of them live in locked memory.
+  s.realtime = haptics::prepare_realtime();
+  s.control.emplace(s.options.session, suture::Channel::kControl);
+  refuse_a_second_server(*s.control);
+  s.mesh.emplace(s.options.session, suture::Channel::kMesh);
+  simulation::Simulation simulation(s.scene);
+
+  const auto period_ns = static_cast<std::int64_t>(std::llround(1e9 / s.options.rate_hz));
+  std::vector<haptics::ToolChannel*> channels;
+  for (const scene::Tool& tool : s.scene.tools) {
+    s.channels.push_back(std::make_unique<haptics::ToolChannel>(tool, period_ns));
+    channels.push_back(s.channels.back().get());
+    s.tools.push_back(
+        {tool.name, tool.kind == scene::ToolKind::kProbe ? "probe" : "driver", channels.back()});
+  }
+  s.forces.emplace(*s.control, s.tools);
+  s.models.emplace(*s.control, s.tools, *s.forces);
+  haptics::SimulationLoop::Options loop_options;
+  loop_options.rate_hz = s.options.rate_hz;
+  loop_options.models_published = [models = &*s.models] { models->notify(); };
+  s.loop.emplace(std::move(simulation), channels, std::move(loop_options));
+  s.models->start(*s.loop);
+  s.supervisor.emplace([forces = &*s.forces](std::int64_t now_ns) { forces->tick(now_ns); });
+  s.publisher.emplace(
+      *s.control, *s.mesh,
+      Served{s.scene, s.tools, *s.forces, *s.models, *s.loop, *s.supervisor, s.realtime,
+             s.options.rate_hz, s.options.session.session, SUTURED_VERSION});
+}
+
+Server::~Server() { stop("the server ends"); }
+
+void Server::stop(const std::string& reason) noexcept {
+  State& s = *state_;
+  if (!s.publisher) return;
+  for (const auto& channel : s.channels) channel->set_stopped(true);
+  // The force threads bring the forces to zero; the promise is 50 ms.
+  const std::int64_t end_ns = suture::monotonic_ns() + kFadePatience_ns;
+  const auto silent = [&s] {
+    for (const auto& channel : s.channels)
+      if (!channel->silent()) return false;
+    return true;
+  };
+  while (!silent() && suture::monotonic_ns() < end_ns)
+    haptics::sleep_until(suture::monotonic_ns() + haptics::kMillisecond_ns);
+  s.publisher->finish(reason);
+  s.tear_down();
+}
+
+std::string Server::failure() const { return state_->loop ? state_->loop->failure() : ""; }
+
+const haptics::RealtimeReport& Server::realtime() const { return state_->realtime; }
+
+std::string Server::summary() const {
+  const State& s = *state_;
+  if (!s.loop) return "stopped";
+  const double elapsed_s =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - s.started).count();
+  std::ostringstream text;
+  text << s.loop->steps() << " steps in " << elapsed_s << " s, " << s.loop->overruns()
+       << " overruns, " << s.supervisor->missed_ticks() << " missed ticks of the supervisor";
+  return text.str();
+}
+
+std::string Server::notes() const {
+  std::string text;
+  for (std::size_t i = 0; i < state_->channels.size(); ++i) {
+    const scene::Tool& tool = state_->scene.tools[i];
+    const suture::ForceLimits& limits = state_->channels[i]->limits();
+    if (limits.max_force_n >= tool.max_force_n && limits.max_torque_nm >= tool.max_torque_nm)
+      continue;
+    std::ostringstream line;
+    line << "tool \"" << tool.name << "\" may show " << limits.max_force_n << " N and "
+         << limits.max_torque_nm << " N·m: its slew limits cannot end more in time (docs/adr/0022)";
+    text += (text.empty() ? "" : "\n") + line.str();
+  }
+  return text;
+}
+
+}  // namespace sutured::endpoints

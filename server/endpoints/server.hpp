@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "haptics/realtime.hpp"
+#include "protocol/participant.hpp"
+#include "scene/scene.hpp"
+
+namespace sutured::endpoints {
+
+/// A running server of one scene: simulation, force threads and DDS, put together.
+///
+/// Threads: the owner's only. Its own threads are listed in docs/architecture.md.
+class Server {
+ public:
+  struct Options {
+    suture::ParticipantOptions session;
+    double rate_hz = 0.0;  ///< of the simulation; 0: the scene's
+  };
+
+  /// Builds the simulation and starts serving. Throws suture::Error (kServerRunning where
+  /// another server has this session; kBadInput, kNetwork, kPermissionDenied) and what
+  /// simulation::Simulation throws.
+  Server(scene::Scene scene, Options options);
+  /// Stops as `stop` does.
+  ~Server();
+  Server(const Server&) = delete;
+  Server& operator=(const Server&) = delete;
+
+  /// Lets all forces go to zero, then ends the simulation, says that the server leaves,
+  /// and leaves. Takes about 50 ms.
+  void stop(const std::string& reason) noexcept;
+
+  /// Returns why the simulation ended by itself; empty while it runs.
+  [[nodiscard]] std::string failure() const;
+  [[nodiscard]] const haptics::RealtimeReport& realtime() const;
+  /// One line for people: steps, rate, overruns.
+  [[nodiscard]] std::string summary() const;
+  /// What was changed of the scene's wishes, for the log; may be empty.
+  [[nodiscard]] std::string notes() const;
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace sutured::endpoints

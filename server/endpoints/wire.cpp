@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "endpoints/wire.hpp"
+
+#include <algorithm>
+#include <span>
+
+namespace sutured::endpoints {
+namespace {
+
+using haptics::Fault;
+using haptics::fault_bit;
+using haptics::ToolState;
+
+static_assert(fault_bit(Fault::kPoseStale) == suture_v1_FAULT_POSE_STALE);
+static_assert(fault_bit(Fault::kPoseNotFinite) == suture_v1_FAULT_POSE_NOT_FINITE);
+static_assert(fault_bit(Fault::kPoseQuaternion) == suture_v1_FAULT_POSE_QUATERNION);
+static_assert(fault_bit(Fault::kPoseJump) == suture_v1_FAULT_POSE_JUMP);
+static_assert(fault_bit(Fault::kPoseRate) == suture_v1_FAULT_POSE_RATE);
+static_assert(fault_bit(Fault::kPoseOrder) == suture_v1_FAULT_POSE_ORDER);
+static_assert(fault_bit(Fault::kPoseJaw) == suture_v1_FAULT_POSE_JAW);
+static_assert(fault_bit(Fault::kModelStale) == suture_v1_FAULT_MODEL_STALE);
+static_assert(fault_bit(Fault::kModelNotFinite) == suture_v1_FAULT_MODEL_NOT_FINITE);
+static_assert(fault_bit(Fault::kModelPivots) == suture_v1_FAULT_MODEL_PIVOTS);
+static_assert(fault_bit(Fault::kForceLimit) == suture_v1_FAULT_FORCE_LIMIT);
+static_assert(fault_bit(Fault::kSlewLimit) == suture_v1_FAULT_SLEW_LIMIT);
+static_assert(fault_bit(Fault::kEnergy) == suture_v1_FAULT_ENERGY);
+static_assert(fault_bit(Fault::kStopped) == suture_v1_FAULT_STOPPED);
+static_assert(fault_bit(Fault::kToolInUse) == suture_v1_FAULT_TOOL_IN_USE);
+
+static_assert(static_cast<int>(ToolState::kIdle) == suture_v1_TOOL_IDLE);
+static_assert(static_cast<int>(ToolState::kRendering) == suture_v1_TOOL_RENDERING);
+static_assert(static_cast<int>(ToolState::kRamping) == suture_v1_TOOL_RAMPING);
+static_assert(static_cast<int>(ToolState::kClutched) == suture_v1_TOOL_CLUTCHED);
+static_assert(static_cast<int>(ToolState::kFault) == suture_v1_TOOL_FAULT);
+static_assert(static_cast<int>(ToolState::kStopped) == suture_v1_TOOL_STOPPED);
+static_assert(static_cast<int>(ToolState::kPaused) == suture_v1_TOOL_PAUSED);
+
+constexpr std::int64_t kBlend_ns = 4'000'000;
+
+template <std::size_t N>
+void copy(const std::array<double, N>& from, double (&to)[N]) noexcept {
+  std::copy(from.begin(), from.end(), to);
+}
+
+void copy(const suture::Wrench& from, double (&to)[6]) noexcept {
+  std::copy(from.force_n.begin(), from.force_n.end(), to);
+  std::copy(from.torque_nm.begin(), from.torque_nm.end(), to + 3);
+}
+
+suture_v1_EventKind wire_kind(simulation::EventKind kind) noexcept {
+  switch (kind) {
+    case simulation::EventKind::kGrasp:
+      return suture_v1_EVENT_GRASP;
+    case simulation::EventKind::kRelease:
+      return suture_v1_EVENT_RELEASE;
+    case simulation::EventKind::kContact:
+      return suture_v1_EVENT_CONTACT;
+    case simulation::EventKind::kPuncture:
+      return suture_v1_EVENT_PUNCTURE;
+    case simulation::EventKind::kExit:
+      return suture_v1_EVENT_EXIT;
+    case simulation::EventKind::kGripSlip:
+      return suture_v1_EVENT_GRIP_SLIP;
+    case simulation::EventKind::kLimit:
+      return suture_v1_EVENT_LIMIT;
+    case simulation::EventKind::kSolverResidual:
+      return suture_v1_EVENT_SOLVER;
+  }
+  return suture_v1_EVENT_NOTICE;
+}
+
+}  // namespace
+
+haptics::PoseSample pose_sample(const suture::v1::ToolPose& wire, std::uint64_t writer) noexcept {
+  haptics::PoseSample sample;
+  sample.writer = writer;
+  sample.sequence = wire.sequence_number;
+  sample.stamp_ns = wire.stamp_ns;
+  std::copy(std::begin(wire.position_m), std::end(wire.position_m), sample.pose.position_m.begin());
+  std::copy(std::begin(wire.orientation_xyzw), std::end(wire.orientation_xyzw),
+            sample.pose.orientation_xyzw.begin());
+  sample.jaw = static_cast<double>(wire.jaw);
+  sample.buttons = wire.buttons;
+  sample.frame = (wire.flags & suture_v1_POSE_IN_WORLD) != 0 ? haptics::Frame::kWorld
+                                                             : haptics::Frame::kDevice;
+  sample.goodbye = (wire.flags & suture_v1_POSE_GOODBYE) != 0;
+  sample.stop = (wire.flags & suture_v1_POSE_STOP) != 0;
+  return sample;
+}
+
+void set_force(suture::v1::ToolForce& wire, const haptics::ForceSample& force) noexcept {
+  wire.epoch = force.epoch;
+  wire.sequence_number = force.sequence;
+  wire.pose_sequence = force.pose_sequence;
+  wire.pose_stamp_ns = force.pose_stamp_ns;
+  copy(force.wrench.force_n, wire.force_n);
+  copy(force.wrench.torque_nm, wire.torque_nm);
+  wire.state = wire_state(force.state);
+  wire.faults = force.faults;
+  wire.flags = 0;
+  if (force.frame == haptics::Frame::kWorld) wire.flags |= suture_v1_FORCE_IN_WORLD;
+  if (force.touching) wire.flags |= suture_v1_FORCE_TOUCHING;
+  if (force.engaged) wire.flags |= suture_v1_FORCE_ENGAGED;
+  if (force.from_supervisor) wire.flags |= suture_v1_FORCE_FROM_SUPERVISOR;
+  constexpr std::uint32_t kNone = UINT32_MAX;
+  wire.model_age_us = force.model_age_ns < 0 ? kNone
+                                             : static_cast<std::uint32_t>(std::min<std::int64_t>(
+                                                   force.model_age_ns / 1000, kNone - 1));
+}
+
+suture_v1_ToolState wire_state(haptics::ToolState state) noexcept {
+  return static_cast<suture_v1_ToolState>(state);
+}
+
+void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& published,
+               const suture::ForceLimits& limits) noexcept {
+  const suture::HapticModel& model = published.model;
+  wire.epoch = model.epoch;
+  wire.sequence_number = model.sequence;
+  wire.stamp_ns = model.stamp_ns;
+  wire.pose_sequence = published.pose_sequence;
+  wire.simulation_time_s = published.time_s;
+  wire.flags = 0;
+  if (model.touching) wire.flags |= suture_v1_MODEL_TOUCHING;
+  if (model.world_changed) wire.flags |= suture_v1_MODEL_WORLD_CHANGED;
+  if (published.engaged) wire.flags |= suture_v1_MODEL_ENGAGED;
+  copy(model.reference.position_m, wire.reference_position_m);
+  copy(model.reference.orientation_xyzw, wire.reference_orientation_xyzw);
+  copy(model.wrench, wire.wrench);
+  copy(model.stiffness, wire.stiffness);
+  copy(model.arm_moment_nm, wire.arm_moment_nm);
+  copy(model.slide_twist, wire.slide_twist);
+  copy(model.slide_gradient, wire.slide_gradient);
+  wire.slide_stiffness = model.slide_stiffness;
+  wire.slide_friction_n = model.slide_friction_n;
+  copy(model.bilateral_wrench, wire.bilateral_wrench);
+  copy(model.bilateral_stiffness, wire.bilateral_stiffness);
+  const auto rows = static_cast<std::size_t>(model.rows);
+  const auto lend = [](auto& sequence, const double* first, std::size_t count) {
+    suture::lend(sequence, std::span<const double>(first, count));
+  };
+  lend(wire.compliance_m_per_n, model.compliance_m_per_n.data(), rows * (rows + 1) / 2);
+  lend(wire.jacobian, model.jacobian[0].data(), rows * 6);
+  lend(wire.offset_m, model.offset_m.data(), rows);
+  lend(wire.multiplier_n, model.multiplier_n.data(), rows);
+  lend(wire.multiplier_max_n, model.multiplier_max_n.data(), rows);
+  wire.frozen_rows = static_cast<std::uint32_t>(model.frozen_rows);
+  wire.radius_m = model.radius_m;
+  wire.norm_length_m = model.characteristic_length_m;
+  wire.max_force_n = limits.max_force_n;
+  wire.max_torque_nm = limits.max_torque_nm;
+  wire.max_force_slew_n_per_s = limits.max_force_slew_n_per_s;
+  wire.max_torque_slew_nm_per_s = limits.max_torque_slew_nm_per_s;
+  wire.stale_after_ns = model.stale_after_ns;
+  wire.blend_ns = std::min(kBlend_ns, model.period_ns);
+  wire.ramp_ns = haptics::kFade_ns;
+  copy(published.mapping.position_m(), wire.mapping.position_m);
+  copy(published.mapping.orientation_xyzw(), wire.mapping.orientation_xyzw);
+  copy(published.mapping.tool_orientation_xyzw(), wire.mapping.tool_orientation_xyzw);
+  wire.mapping.motion_scale = published.mapping.motion_scale();
+  wire.mapping.force_scale = published.mapping.force_scale();
+}
+
+void set_event(suture::v1::Event& wire, const simulation::Event& event) noexcept {
+  wire.kind = wire_kind(event.kind);
+  wire.simulation_time_s = event.time_s;
+  suture::set_text(wire.subject, event.subject);
+  suture::set_text(wire.object, event.object);
+  for (int i = 0; i < 3; ++i) wire.position_m[i] = event.position_m[i];
+  wire.value = event.force_n;
+  suture::set_text(wire.unit, "N");
+}
+
+suture::v1::Percentiles percentiles(const haptics::LatencySummary& summary) noexcept {
+  return {summary.count, summary.p50_us, summary.p99_us, summary.max_us};
+}
+
+}  // namespace sutured::endpoints

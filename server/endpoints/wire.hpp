@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Between the server's values and those of idl/suture_v1.idl. Plain copies, no decisions.
+#pragma once
+
+#include <cstdint>
+
+#include "haptics/period_latency.hpp"
+#include "haptics/simulation_loop.hpp"
+#include "haptics/tool_channel.hpp"
+#include "protocol/types.hpp"
+
+namespace sutured::endpoints {
+
+/// Returns a pose as a channel takes it; `writer` names who sent it, within this process.
+[[nodiscard]] haptics::PoseSample pose_sample(const suture::v1::ToolPose& wire,
+                                              std::uint64_t writer) noexcept;
+
+/// Fills `wire` but for its tool, device and stamp.
+void set_force(suture::v1::ToolForce& wire, const haptics::ForceSample& force) noexcept;
+
+[[nodiscard]] suture_v1_ToolState wire_state(haptics::ToolState state) noexcept;
+
+/// Fills `wire` but for its tool and device. Its sequences lend from `published`, which
+/// must outlive the write.
+void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& published,
+               const suture::ForceLimits& limits) noexcept;
+
+/// Fills kind, subject, object, position and value of `wire`.
+void set_event(suture::v1::Event& wire, const simulation::Event& event) noexcept;
+
+[[nodiscard]] suture::v1::Percentiles percentiles(const haptics::LatencySummary& summary) noexcept;
+
+}  // namespace sutured::endpoints
