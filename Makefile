@@ -37,6 +37,19 @@ build: deps-build ## Build the release binaries
 	@cmake --preset release -DSUTURED_TESTS=OFF -DSUTURED_BENCH=OFF >/dev/null
 	@cmake --build --preset release
 
+RUN_DIR := out/run
+SCENE := server/scenes/anastomosis/scene.toml
+SURGEON := server/scenes/anastomosis/surgeon.csv
+BIN := build/release
+
+.PHONY: run
+run: build ## Run the main job: server, a device that plays a surgeon over DDS, plot and summary
+	@BIN=$(BIN) SCENE=$(SCENE) SURGEON=$(SURGEON) OUT=$(RUN_DIR) server/scenes/main_job.sh
+
+.PHONY: serve
+serve: build ## Serve the anastomosis scene until Ctrl-C
+	@$(BIN)/server/sutured serve $(SCENE)
+
 .PHONY: test
 test: deps-test ## Build and run every test
 	@cmake --preset dev >/dev/null
