@@ -125,7 +125,8 @@ void print_force(double time_s, double end_s, const Force& force, double limit_n
   constexpr int kBar = 20;
   const double magnitude = length_of(force.force_n);
   const int filled =
-      limit_n > 0.0 ? std::clamp(static_cast<int>(magnitude / limit_n * kBar + 0.5), 0, kBar) : 0;
+      limit_n > 0.0 ? std::clamp(static_cast<int>(std::lround(magnitude / limit_n * kBar)), 0, kBar)
+                    : 0;
   char bar[kBar + 1];
   for (int i = 0; i < kBar; ++i) bar[i] = i < filled ? '#' : '.';
   bar[kBar] = '\0';
@@ -222,6 +223,7 @@ struct Outcome {
   std::vector<EventBook::Entry> events;
   std::uint64_t log_dropped = 0;
   double max_force_n = 0.0;
+  double rendered_peak_n = 0.0;  ///< of what the device rendered itself
   std::string scene;
 
   [[nodiscard]] double answered_pct() const {
@@ -253,7 +255,10 @@ Outcome play(const DeviceArguments& arguments, const SurgeonTrack& track, ForceL
   options.session = session.session;
   options.timeout = session.timeout;
   options.tool = arguments.tool;
+  const bool renders_itself = arguments.render == "device";
+  options.render = renders_itself ? Render::kDevice : Render::kServer;
   options.on_force = [&](const Force& force) {
+    if (renders_itself) return;  // logged where it is rendered
     if (const std::optional<double> time_s = sent->time_of(force.hand_sequence)) {
       log.push({*time_s, hand_then(*time_s), force});
     }
@@ -278,16 +283,23 @@ Outcome play(const DeviceArguments& arguments, const SurgeonTrack& track, ForceL
     std::optional<ForcePrinter> printer;
     if (!arguments.quiet) printer.emplace(track.end_s(), device.max_force_n());
     double time_s = 0.0;
+    double rendered_peak_n = 0.0;
     const Device::Tick tick = [&](const Force& force,
                                   std::chrono::nanoseconds elapsed) -> std::optional<Hand> {
       time_s += std::chrono::duration<double>(elapsed).count();
       if (interrupted || (!arguments.loop && time_s > track.end_s())) return std::nullopt;
       if (printer) printer->show(time_s, force);
+      if (renders_itself && sequence > 0) {
+        const double felt_s = sent->time_of(sequence).value_or(time_s);
+        log.push({felt_s, hand_then(felt_s), force});
+        rendered_peak_n = std::max(rendered_peak_n, length_of(force.force_n));
+      }
       sent->note(++sequence, time_s);
       return hand_then(time_s);
     };
     device.run(tick, arguments.rate_hz);
     outcome.duration_s = time_s;
+    outcome.rendered_peak_n = rendered_peak_n;
   }
   // The answer to the last hand is on its way, and the status that tells of the end.
   static_cast<void>(device.read_after(sequence, std::chrono::milliseconds(100)));
@@ -295,6 +307,7 @@ Outcome play(const DeviceArguments& arguments, const SurgeonTrack& track, ForceL
   viewer.close();
   log.finish();
   outcome.counts = device.statistics();
+  if (renders_itself) outcome.counts.peak_force_n = outcome.rendered_peak_n;
   outcome.steps = book.steps();
   outcome.events = book.entries();
   outcome.log_dropped = log.dropped();
@@ -381,10 +394,6 @@ int run_device(const DeviceArguments& arguments) {
     throw Error(ErrorCode::kBadInput,
                 arguments.surgeon + ": has no rows of the tool \"" + arguments.tool + "\"",
                 "it has rows of " + known);
-  }
-  if (arguments.render == "device") {
-    throw Error(ErrorCode::kBadInput, "this version renders on the server only",
-                "leave --render out");
   }
   ForceLog log(arguments.log);
   const Outcome outcome = play(arguments, *track, log);

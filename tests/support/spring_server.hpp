@@ -76,6 +76,11 @@ class SpringServer {
     const std::lock_guard lock(mutex_);
     return last_pose_;
   }
+  /// The writer of the last pose.
+  [[nodiscard]] suture::Guid last_sender() {
+    const std::lock_guard lock(mutex_);
+    return last_sender_;
+  }
   [[nodiscard]] int matched_devices() const { return pose_reader_.matched(); }
 
  private:
@@ -88,12 +93,11 @@ class SpringServer {
       if ((pose.flags & suture_v1_POSE_GOODBYE) != 0) ++goodbyes_;
       const std::lock_guard lock(mutex_);
       last_pose_ = pose;
+      last_sender_ = pose_reader_.writer_guid(info.writer).value_or(suture::kNobody);
       if (silent_) continue;
       suture::v1::ToolForce force{};
       force.tool_id = pose.tool_id;
-      const auto sender = pose_reader_.writer_guid(info.writer);
-      suture::set_guid(force.device,
-                       holder_ != suture::kNobody ? holder_ : sender.value_or(suture::kNobody));
+      suture::set_guid(force.device, holder_ != suture::kNobody ? holder_ : last_sender_);
       force.epoch = 1;
       force.sequence_number = ++sequence_;
       force.stamp_ns = suture::wall_clock_ns();
@@ -133,6 +137,7 @@ class SpringServer {
   std::mutex mutex_;
   suture::Guid holder_{};
   suture::v1::ToolPose last_pose_{};
+  suture::Guid last_sender_{};
   std::uint64_t sequence_ = 0;
   suture::Writer<suture::v1::ServerStatus> status_writer_;
   suture::Writer<suture::v1::ToolForce> force_writer_;

@@ -14,6 +14,7 @@
 
 #include "convert.hpp"
 #include "force_guard.hpp"
+#include "model_renderer.hpp"
 #include "protocol/endpoint.hpp"
 #include "protocol/latency_histogram.hpp"
 #include "protocol/rendezvous.hpp"
@@ -128,6 +129,7 @@ struct Device::State {
 
   void connect();
   void receive() noexcept;                    // receive thread
+  void receive_models() noexcept;             // receive thread
   void account(const Force& force) noexcept;  // receive thread
   [[nodiscard]] std::string incompatible_policy() {
     const std::lock_guard lock(policy_mutex);
@@ -156,6 +158,8 @@ struct Device::State {
 
   // The caller's.
   ForceGuard guard;
+  std::unique_ptr<ModelRenderer> renderer;  // where the device renders; 60 kB
+  Hand hand;
   v1::ToolPose pose{};
   std::atomic<bool> stopping{false};
 
@@ -165,6 +169,7 @@ struct Device::State {
   // Last: destroyed first, so that no callback outlives what it uses.
   Writer<v1::ToolPose> writer;
   Reader<v1::ToolForce> reader;
+  Reader<v1::HapticModel> model_reader;
 };
 
 void Device::State::connect() {
@@ -206,6 +211,13 @@ void Device::State::connect() {
   from_reader.matched = [this](int) { doorbell.ring(); };
   from_reader.incompatible_qos = note_policy;
   reader = Reader<v1::ToolForce>(participant, std::move(from_reader));
+  if (options.render == Render::kDevice) {
+    renderer = std::make_unique<ModelRenderer>();
+    EndpointCallbacks from_models;
+    from_models.data_available = [this] { receive_models(); };
+    from_models.incompatible_qos = note_policy;
+    model_reader = Reader<v1::HapticModel>(participant, std::move(from_models));
+  }
   ready.store(true, std::memory_order_release);
 
   if (!doorbell.wait([&] { return writer.matched() > 0 && reader.matched() > 0; }, end)) {
@@ -240,6 +252,14 @@ void Device::State::receive() noexcept {
     doorbell.ring();
     if (options.on_force) options.on_force(force);
   }
+}
+
+void Device::State::receive_models() noexcept {
+  if (!ready.load(std::memory_order_acquire)) return;
+  model_reader.take_each([&](const v1::HapticModel& wire, const SampleInfo& info) {
+    if (!info.valid || text_of(wire.tool) != options.tool) return;
+    if (guid_of(wire.device) == writer.guid()) renderer->receive(wire, monotonic_ns());
+  });
 }
 
 void Device::State::account(const Force& force) noexcept {
@@ -340,15 +360,21 @@ std::uint64_t Device::write(const Hand& hand) noexcept {
   pose.jaw = static_cast<float>(hand.jaw);
   pose.buttons = hand.buttons;
   pose.flags = (hand.in_world ? std::uint32_t{suture_v1_POSE_IN_WORLD} : 0U) |
-               (hand.stop ? std::uint32_t{suture_v1_POSE_STOP} : 0U);
+               (hand.stop ? std::uint32_t{suture_v1_POSE_STOP} : 0U) |
+               (state.renderer ? std::uint32_t{suture_v1_POSE_RENDER_DEVICE} : 0U);
+  state.hand = hand;
   pose.stamp_ns = wall_clock_ns();
   state.writer.write(pose);
   return pose.sequence_number;
 }
 
-Force Device::read() noexcept {
+Force Device::read() noexcept { return feel(state_->hand); }
+
+Force Device::feel(const Hand& hand) noexcept {
   const Arrival& last = state_->arrivals.latest();
-  return state_->guard.show(last.force, last.at_ns, monotonic_ns());
+  const std::int64_t now_ns = monotonic_ns();
+  const Force answer = state_->guard.show(last.force, last.at_ns, now_ns);
+  return state_->renderer ? state_->renderer->render(hand, answer, now_ns) : answer;
 }
 
 std::optional<Force> Device::read_after(std::uint64_t sequence,

@@ -6,6 +6,8 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <cmath>
+#include <limits>
 #include <thread>
 
 #include "support/spring_server.hpp"
@@ -193,6 +195,53 @@ TEST(Device, FeelsNothingOfForcesForAnother) {
   } catch (const Error& error) {
     EXPECT_EQ(error.code(), ErrorCode::kToolInUse);
   }
+}
+
+TEST(Device, RendersItselfFromTheServersModels) {
+  SpringServer server(server_options());  // 100 N/m, by ToolForce
+  const Participant participant(own_session(), Channel::kControl);
+  Writer<v1::HapticModel> models(participant);
+  DeviceOptions options = device_options();
+  options.render = Render::kDevice;
+  Device device(options);
+  ASSERT_TRUE(eventually([&] { return models.matched() == 1; }));
+  Hand hand;
+  hand.in_world = true;
+  hand.position_m = {0.01, 0.0, 0.0};
+  ASSERT_TRUE(device.read_after(device.write(hand), std::chrono::seconds(10)));
+  EXPECT_EQ(server.last_pose().flags & suture_v1_POSE_RENDER_DEVICE,
+            std::uint32_t{suture_v1_POSE_RENDER_DEVICE});
+
+  v1::HapticModel model{};  // 50 N/m: another answer than the server's, to tell them apart
+  set_text(model.tool, "driver");
+  set_guid(model.device, server.last_sender());
+  model.epoch = 1;
+  model.flags = suture_v1_MODEL_TOUCHING | suture_v1_MODEL_ENGAGED;
+  model.reference_orientation_xyzw[3] = 1.0;
+  for (int i = 0; i < 3; ++i) model.stiffness[7 * i] = model.bilateral_stiffness[7 * i] = 50.0;
+  model.radius_m = std::numeric_limits<double>::infinity();
+  model.norm_length_m = 0.01;
+  model.max_force_n = 3.0;
+  model.max_torque_nm = 0.1;
+  model.max_force_slew_n_per_s = 500.0;
+  model.max_torque_slew_nm_per_s = 15.0;
+  model.stale_after_ns = 10'000'000'000;
+  model.blend_ns = 1'000'000;
+  model.ramp_ns = 30'000'000;
+  model.mapping.orientation_xyzw[3] = model.mapping.tool_orientation_xyzw[3] = 1.0;
+  model.mapping.motion_scale = model.mapping.force_scale = 1.0;
+  EXPECT_TRUE(eventually([&] {
+    ++model.sequence_number;
+    models.write(model);
+    device.write(hand);
+    return std::abs(device.read().force_n[0] + 0.5) < 1e-9;
+  })) << device.read().force_n[0];
+  Hand elsewhere = hand;  // felt without being sent
+  elsewhere.position_m[0] = 0.02;
+  EXPECT_TRUE(eventually([&] {
+    device.write(hand);
+    return std::abs(device.feel(elsewhere).force_n[0] + 1.0) < 1e-9;
+  }));
 }
 
 TEST(Device, SaysGoodbye) {

@@ -14,11 +14,18 @@
 
 namespace suture {
 
+/// Says who computes the force at the hand.
+enum class Render {
+  kServer,  ///< the server answers each hand with a force
+  kDevice,  ///< the SDK, from the server's haptic models: no network in the loop
+};
+
 /// Says which tool of which session to hold.
 struct DeviceOptions {
   std::uint32_t domain = 0;                 ///< even, ≤ 230
   std::string session;                      ///< empty: the default session
   std::string tool;                         ///< as in the scene
+  Render render = Render::kServer;
   std::chrono::milliseconds timeout{3000};  ///< to find the server
   /// Properties of DDS, such as those of DDS Security (`dds.sec.auth.identity_ca`, …).
   std::vector<std::pair<std::string, std::string>> properties;
@@ -28,7 +35,8 @@ struct DeviceOptions {
   /// Without a force for so long, `run` ends with Error kNoServer; zero: never.
   std::chrono::milliseconds give_up_after{5000};
 
-  /// Called for every force as it arrives, on the receiving thread: short, no waiting.
+  /// Called for every force of the server as it arrives, on the receiving thread: short,
+  /// no waiting.
   std::function<void(const Force&)> on_force;
 };
 
@@ -39,7 +47,7 @@ struct DeviceOptions {
 /// the limits of the tool, goes to zero within 50 ms of the last good one, and comes back
 /// by a ramp.
 ///
-/// Threads: one at a time, but for `stop`. Hot calls (`write`, `read`, `read_after`)
+/// Threads: one at a time, but for `stop`. Hot calls (`write`, `read`, `feel`, `read_after`)
 /// neither throw nor allocate.
 class __attribute__((visibility("default"))) Device {
  public:
@@ -70,8 +78,13 @@ class __attribute__((visibility("default"))) Device {
   /// Sends where the hand is now, stamped now, and returns its number, counted from 1.
   std::uint64_t write(const Hand& hand) noexcept;
 
-  /// Returns what the hand shall feel now.
+  /// Returns what the hand shall feel now: the server's last answer, or with
+  /// Render::kDevice the force for the hand last written.
   [[nodiscard]] Force read() noexcept;
+
+  /// Returns what `hand` shall feel now, without sending it: with Render::kDevice at any
+  /// rate, with Render::kServer the same as `read`.
+  [[nodiscard]] Force feel(const Hand& hand) noexcept;
 
   /// Waits until the force that answers hand `sequence`, or a later one, is there.
   [[nodiscard]] std::optional<Force> read_after(std::uint64_t sequence,
