@@ -133,22 +133,35 @@ void NeedleBody::find_tip_contact(const TissueState& tissue, double reach_m) {
     return;
   }
   tip_ = {};
+  // What lies ahead on the axis comes first: close to the hole it has left, the tip may meet
+  // another wall.
+  if (const auto entry = needle::Path::first_entry(view, curve_, pose_, curve_.length_m(),
+                                                   curve_.length_m() + reach_m)) {
+    meet(view, entry->first, tip);
+    return;
+  }
   const auto nearest = view.tree->nearest(tip, 2.0 * reach_m + 1e-3, view.positions_m);
   if (!nearest) return;
-  if (!path_.cells().empty() && path_.cells().back().left.triangle >= 0 &&
-      (needle::position(view, path_.cells().back().left) - nearest->closest.point_m).norm() <
-          kHoleReach_m)
+  if (!path_.cells().empty() && path_.cells().back().left.triangle >= 0) {
+    const needle::BoundaryPoint& hole = path_.cells().back().left;
+    if (tissue.tissue_of_triangle(hole.triangle) == tissue.tissue_of_triangle(nearest->triangle) &&
+        (needle::position(view, hole) - nearest->closest.point_m).norm() < kHoleReach_m)
+      return;
+  }
+  // Inside the body without a path, the needle was set there or swept in sideways: it is pushed
+  // out, but only from near the surface.
+  if (std::sqrt(nearest->closest.squared_distance_m2) > reach_m &&
+      needle::normal(view, nearest->triangle).dot(tip - nearest->closest.point_m) >= 0.0)
     return;
-  const Vec3 n = needle::normal(view, nearest->triangle);
-  const double distance = n.dot(tip - nearest->closest.point_m);
-  // From inside the body and not along a path: the needle was set there, or swept in sideways. Push
-  // it out only from near the surface.
-  if (distance > reach_m || distance < -(2.0 * reach_m + 1e-3)) return;
-  if (distance >= 0.0 && nearest->closest.squared_distance_m2 > reach_m * reach_m) return;
+  meet(view, {nearest->triangle, nearest->closest.barycentric}, tip);
+}
+
+void NeedleBody::meet(const needle::TissueView& view, const needle::BoundaryPoint& point,
+                      const Vec3& tip) {
   tip_.side = TipContact::Side::kOutside;
-  tip_.at = {nearest->triangle, nearest->closest.barycentric};
-  tip_.normal = n;
-  tip_.distance_m = distance;
+  tip_.at = point;
+  tip_.normal = needle::normal(view, point.triangle);
+  tip_.distance_m = tip_.normal.dot(tip - needle::position(view, point));
 }
 
 void NeedleBody::add_rows(const TissueState& tissue, ConstraintRows& rows) {

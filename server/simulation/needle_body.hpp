@@ -97,6 +97,7 @@ class NeedleBody {
   [[nodiscard]] int holder() const { return holder_; }
 
  private:
+  void meet(const needle::TissueView& view, const needle::BoundaryPoint& point, const Vec3& tip);
   void puncture(const TissueState& tissue, double time_s, std::vector<Event>& events);
 
   const scene::Scene* scene_;

@@ -209,6 +209,67 @@ TEST_F(BlockSimulation, FrictionAlongTheNeedleIsViscous) {
   EXPECT_NEAR(friction_at(0.005), 1.0, 0.1);
 }
 
+/// Beyond the friction cone the tip slides over the surface; within it, it stands.
+TEST_F(BlockSimulation, TheTipStandsWithinTheFrictionConeAndSlidesBeyond) {
+  scene.tissues[0].puncture_force_n = 10.0;  // never
+  sim = Simulation(scene);
+  grasp(kDriver, kTail);
+  move(kDriver, kTail - Vec3(0, 0, 0.001));  // presses 0.5 mm deep
+  const double pressed = wrench(kDriver)[2];
+  ASSERT_GT(pressed, 0.02);
+  move(kDriver, inputs[kDriver].position_m + Vec3(5e-5, 0, 0));
+  const double stands = -wrench(kDriver)[0];
+  EXPECT_GT(stands, 1e-4);
+  EXPECT_LT(stands, 0.5 * pressed);
+  move(kDriver, inputs[kDriver].position_m + Vec3(0.004, 0, 0));
+  const Vec6 slides = wrench(kDriver);
+  const double tangential = slides.head<2>().norm(), normal = slides[2];
+  EXPECT_GT(normal, 0.01);
+  // The cone's bound is that of the solve before; the surface is dented, so its normal leans a
+  // little.
+  EXPECT_NEAR(tangential / normal, scene.tissues[0].surface_friction_coefficient, 0.1);
+  EXPECT_EQ(count(EventKind::kPuncture), 0);
+  move(kDriver, kTail + Vec3(0.004, 0, 0.002));
+  EXPECT_LT(wrench(kDriver).norm(),
+            1e-5);  // let go when drawn back, but for the weak spring in motion
+}
+
+TEST_F(BlockSimulation, AnObliqueNeedlePuncturesToo) {
+  const Vec3 along = Vec3(0.7, 0.1, -0.7).normalized();
+  scene.needles[0].pose.orientation = Eigen::Quaterniond::FromTwoVectors(Vec3::UnitX(), along);
+  scene.needles[0].pose.position_m = Vec3(-0.003, 0, 0.0005) - 0.025 * along;
+  sim = Simulation(scene);
+  const Vec3 grip = Vec3(-0.003, 0, 0.0005) - 0.02 * along;
+  grasp(kDriver, grip);
+  move(kDriver, grip + 0.006 * along);
+  EXPECT_EQ(count(EventKind::kPuncture), 1);
+  EXPECT_TRUE(sim.needles()[0].tip_inside);
+  EXPECT_GT(sim.needles()[0].embedded_length_m, 0.003);
+}
+
+TEST_F(BlockSimulation, TheNeedleGoesThroughOneBodyAndIntoTheNext) {
+  scene::Tissue below = scene.tissues[0];
+  below.name = "below";
+  for (Vec3& x : below.mesh.vertices_m) x -= Vec3(0, 0, 0.0106);
+  scene.tissues[0].prescribed[0].vertices.clear();
+  for (std::size_t v = 0; v < scene.tissues[0].mesh.vertices_m.size(); ++v)
+    if (std::abs(scene.tissues[0].mesh.vertices_m[v][0]) > 0.01 - 1e-9)
+      scene.tissues[0].prescribed[0].vertices.push_back(static_cast<std::int32_t>(v));
+  scene.tissues.push_back(below);
+  sim = Simulation(scene);
+  grasp(kDriver, kTail);
+  move(kDriver, kTail - Vec3(0, 0, 0.018), 0.02);
+  ASSERT_EQ(count(EventKind::kPuncture), 2);
+  EXPECT_EQ(last(EventKind::kPuncture).object, "below");
+  EXPECT_EQ(last(EventKind::kExit).object, "block");
+  EXPECT_TRUE(sim.needles()[0].tip_inside);
+  EXPECT_GT(sim.needles()[0].embedded_length_m, 0.014);
+  move(kDriver, kTail, 0.02);
+  EXPECT_EQ(sim.needles()[0].active_cells, 0);
+  step(5);
+  EXPECT_LT(wrench(kDriver).norm(), 1e-9);
+}
+
 TEST_F(BlockSimulation, AFreeNeedleStaysWhereItIs) {
   const Vec3 before = sim.needles()[0].position_m;
   step(100);
