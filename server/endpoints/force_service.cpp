@@ -62,7 +62,8 @@ void ForceService::send(const Line& line, const haptics::ForceSample& force) noe
   suture::v1::ToolForce wire{};
   wire.tool_id = line.tool_id;
   suture::set_guid(wire.device, guid_of_writer(force.writer));
-  wire.stamp_ns = suture::wall_clock_ns();
+  // When it was computed: what a limit in slew is held against.
+  wire.stamp_ns = suture::wall_clock_ns() - (suture::monotonic_ns() - force.time_ns);
   set_force(wire, force);
   forces_.write(wire);
 }

@@ -451,6 +451,7 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   force.writer = writer_;
   force.epoch = epoch_;
   force.sequence = ++sequence_;
+  force.time_ns = now_ns;
   force.pose_sequence = served_sequence_;
   force.pose_stamp_ns = pose_stamp_ns_;
   force.model_sequence = has_model_ ? models_.front().model.sequence : 0;

@@ -108,6 +108,7 @@ struct ForceSample {
   std::uint64_t writer = 0;
   std::uint64_t epoch = 0;
   std::uint64_t sequence = 0;  ///< counts up by one a force
+  std::int64_t time_ns = 0;    ///< of the tick, monotonic
   std::uint64_t pose_sequence = 0;
   std::int64_t pose_stamp_ns = 0;
   std::uint64_t model_sequence = 0;

@@ -1,0 +1,531 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The main promise over real DDS between real processes: a force for every pose, and no
+// fault of either side that a hand could feel as more than a smooth end of force.
+//
+// Times are those of the forces themselves (their stamps and the ticks that made them),
+// so that a busy machine cannot break a claim about safety.
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <deque>
+#include <fstream>
+#include <iomanip>
+#include <limits>
+#include <mutex>
+#include <set>
+#include <vector>
+
+#include "integration/serve/raw_device.hpp"
+#include "support/block_mesh.hpp"
+#include "support/process.hpp"
+#include "support/temporary_folder.hpp"
+#include "support/test_session.hpp"
+#include "suture/device.hpp"
+#include "suture/session.hpp"
+
+namespace sutured {
+namespace {
+
+using suture::v1::ToolForce;
+using testing::eventually;
+using testing::Process;
+using testing::RawDevice;
+
+constexpr std::int64_t kMs = 1'000'000;
+constexpr std::int64_t kPromise_ns = 50 * kMs;
+constexpr double kMaxForce_n = 0.5;
+constexpr double kMaxSlew_n_per_s = 40.0;
+constexpr double kSurface_m = 0.01, kProbeRadius_m = 0.002;
+constexpr double kTouching_m = kSurface_m + kProbeRadius_m - 0.001;  // a millimetre deep
+
+double norm(const double (&v)[3]) { return std::hypot(v[0], v[1], v[2]); }
+
+/// A block of soft tissue, held at its bottom, and a probe above it. Its slew limit is
+/// low enough to be seen.
+std::string write_scene(const testing::TemporaryFolder& folder) {
+  const geometry::TetMesh mesh = testing::block_mesh(4, 4, 3, {0.02, 0.02, kSurface_m});
+  std::ofstream vtk(folder.path("block.vtk"));
+  vtk << std::setprecision(17) << "# vtk DataFile Version 3.0\nblock\nASCII\nDATASET "
+      << "UNSTRUCTURED_GRID\nPOINTS " << mesh.vertices_m.size() << " double\n";
+  for (const auto& v : mesh.vertices_m) vtk << v.x() << ' ' << v.y() << ' ' << v.z() << '\n';
+  vtk << "CELLS " << mesh.tets.size() << ' ' << 5 * mesh.tets.size() << '\n';
+  for (const auto& t : mesh.tets)
+    vtk << "4 " << t[0] << ' ' << t[1] << ' ' << t[2] << ' ' << t[3] << '\n';
+  vtk << "CELL_TYPES " << mesh.tets.size() << '\n';
+  for (std::size_t i = 0; i < mesh.tets.size(); ++i) vtk << "10\n";
+  vtk.close();
+  return folder.write("scene.toml", R"(
+name = "block"
+rate_hz = 250
+[[tissue]]
+name = "block"
+mesh = "block.vtk"
+young_modulus_pa = 2.0e4
+poisson_ratio = 0.4
+fixed = [{ box = { min_m = [-1, -1, -1], max_m = [1, 1, 1e-6] } }]
+[[tool]]
+name = "probe"
+kind = "probe"
+probe_radius_m = 0.002
+max_force_n = 0.5
+max_force_slew_n_per_s = 40
+)");
+}
+
+/// All forces of the session, whoever they are for.
+class ForceWatcher {
+ public:
+  explicit ForceWatcher(const suture::Participant& participant) {
+    suture::EndpointCallbacks callbacks;
+    callbacks.data_available = [this] {
+      if (!ready_) return;
+      ToolForce force;
+      suture::SampleInfo info;
+      while (reader_.take(force, info)) {
+        if (!info.valid) continue;
+        const std::lock_guard lock(mutex_);
+        forces_.push_back(force);
+      }
+    };
+    reader_ = suture::Reader<ToolForce>(participant, std::move(callbacks));
+    ready_ = true;
+  }
+  std::vector<ToolForce> all() {
+    const std::lock_guard lock(mutex_);
+    return forces_;
+  }
+  ToolForce last() {
+    const std::lock_guard lock(mutex_);
+    return forces_.empty() ? ToolForce{} : forces_.back();
+  }
+  /// Forgets what came so far.
+  void clear() {
+    const std::lock_guard lock(mutex_);
+    forces_.clear();
+  }
+
+ private:
+  std::atomic<bool> ready_{false};
+  std::mutex mutex_;
+  std::vector<ToolForce> forces_;
+  suture::Reader<ToolForce> reader_;
+};
+
+class Serve : public ::testing::Test {
+ protected:
+  void start_server(std::vector<std::string> more = {}) {
+    std::vector<std::string> command{
+        SUTURED_PROGRAM, "serve",         scene_, "--domain", std::to_string(session_.domain),
+        "--session",     session_.session};
+    command.insert(command.end(), more.begin(), more.end());
+    server_.emplace(command);
+    ASSERT_NE(server_->read_until("serving scene").find("serving scene"), std::string::npos)
+        << server_->output();
+  }
+  std::unique_ptr<Process> start_source() {
+    auto source = std::make_unique<Process>(
+        std::vector<std::string>{POSE_SOURCE, std::to_string(session_.domain), session_.session,
+                                 "probe", "0.011", "0.009", std::to_string(kTouching_m)});
+    source->read_until("ready");
+    return source;
+  }
+  std::unique_ptr<RawDevice> start_device() {
+    auto device = std::make_unique<RawDevice>(session_, "probe");
+    device->move_to(0.011, 0.009, kTouching_m);
+    return device;
+  }
+  /// Waits until the hand feels the tissue in full.
+  void await_rendering() {
+    ASSERT_TRUE(eventually([this] {
+      const ToolForce force = watcher_.last();
+      return force.state == suture_v1_TOOL_RENDERING && norm(force.force_n) > 0.02;
+    })) << server_->output();
+  }
+  void await_zero() {
+    ASSERT_TRUE(eventually([this] { return norm(watcher_.last().force_n) == 0.0; }));
+  }
+  /// Waits until forces go on being sent beyond the promised time.
+  void await_end_of_promise() {
+    const std::int64_t good_ns = last_answer_ns(watcher_.all());
+    ASSERT_TRUE(eventually([&] { return watcher_.last().stamp_ns > good_ns + kPromise_ns + kMs; }));
+  }
+  void collect_events() {
+    suture::v1::Event event;
+    suture::SampleInfo info;
+    while (event_reader_.take(event, info))
+      if (info.valid) events_.push_back(event);
+  }
+  bool saw_event(suture_v1_EventKind kind, std::uint32_t faults = 0) {
+    return eventually([&] {
+      collect_events();
+      return std::any_of(events_.begin(), events_.end(), [&](const auto& event) {
+        return event.kind == kind && (faults == 0 || (event.faults & faults) != 0);
+      });
+    });
+  }
+  /// Magnitude and slew of all forces, in their own time. The half millisecond is for the
+  /// clocks of a stamp, which are read one after the other.
+  static void expect_within_limits(const std::vector<ToolForce>& forces) {
+    for (std::size_t i = 0; i < forces.size(); ++i) {
+      ASSERT_LE(norm(forces[i].force_n), kMaxForce_n * (1 + 1e-9));
+      if (i == 0 || forces[i].sequence_number < forces[i - 1].sequence_number) continue;
+      double step[3];
+      for (int k = 0; k < 3; ++k) step[k] = forces[i].force_n[k] - forces[i - 1].force_n[k];
+      const double elapsed_s =
+          static_cast<double>(forces[i].stamp_ns - forces[i - 1].stamp_ns + kMs / 2) * 1e-9;
+      ASSERT_LE(norm(step), kMaxSlew_n_per_s * elapsed_s) << "force " << i;
+    }
+  }
+  /// The forces reach zero by 50 ms after `good_ns` and stay there, up to `until_ns`.
+  static void expect_zero_after(const std::vector<ToolForce>& forces, std::int64_t good_ns,
+                                std::int64_t until_ns = std::numeric_limits<std::int64_t>::max()) {
+    int late = 0;
+    std::int64_t felt_ns = good_ns;
+    for (const ToolForce& force : forces) {
+      if (force.stamp_ns <= good_ns || force.stamp_ns >= until_ns) continue;
+      if (norm(force.force_n) > 0.0) felt_ns = std::max(felt_ns, force.stamp_ns);
+      late += force.stamp_ns > good_ns + kPromise_ns;
+    }
+    EXPECT_LE(felt_ns - good_ns, kPromise_ns);
+    EXPECT_GT(late, 0) << "nothing was sent after the fade: the claim is empty";
+    std::printf("zero %.1f ms after the last good sample\n",
+                static_cast<double>(felt_ns - good_ns) * 1e-6);
+  }
+  /// When the last force that answers a pose was computed.
+  static std::int64_t last_answer_ns(const std::vector<ToolForce>& forces,
+                                     std::uint64_t before_pose = UINT64_MAX) {
+    std::int64_t stamp_ns = 0;
+    for (const ToolForce& force : forces)
+      if ((force.flags & suture_v1_FORCE_FROM_SUPERVISOR) == 0 && force.pose_sequence < before_pose)
+        stamp_ns = std::max(stamp_ns, force.stamp_ns);
+    return stamp_ns;
+  }
+
+  suture::ParticipantOptions session_ = testing::own_session();
+  testing::TemporaryFolder folder_;
+  std::string scene_ = write_scene(folder_);
+  suture::Participant participant_{session_, suture::Channel::kControl};
+  ForceWatcher watcher_{participant_};
+  suture::Reader<suture::v1::Event> event_reader_{participant_};
+  std::vector<suture::v1::Event> events_;
+  std::optional<Process> server_;
+};
+
+TEST_F(Serve, AnswersNearlyEveryPoseOnceAndInOrder) {
+  start_server();
+  const auto device = start_device();
+  await_rendering();
+  constexpr std::uint64_t kPoses = 4000;
+  watcher_.clear();
+  const std::uint64_t first = device->sent() + 1;
+  ASSERT_TRUE(eventually([&] { return device->sent() >= first + kPoses; }));
+  device->pause(true);
+  await_zero();
+
+  std::set<std::uint64_t> answered;
+  std::uint64_t last = 0;
+  for (const ToolForce& force : watcher_.all()) {
+    if ((force.flags & suture_v1_FORCE_FROM_SUPERVISOR) != 0) continue;
+    if (force.pose_sequence < first || force.pose_sequence >= first + kPoses) continue;
+    ASSERT_GT(force.pose_sequence, last) << "twice, or out of order";
+    last = force.pose_sequence;
+    answered.insert(last);
+  }
+  const double share = 100.0 * static_cast<double>(answered.size()) / kPoses;
+  std::printf("%.2f %% of %llu poses answered, in order, none twice\n", share,
+              static_cast<unsigned long long>(kPoses));
+  EXPECT_GE(share, 99.0);
+  expect_within_limits(watcher_.all());
+}
+
+TEST_F(Serve, EndsTheForceOfADeviceThatIsKilled) {
+  start_server();
+  auto source = start_source();
+  await_rendering();
+  source->send(SIGKILL);
+  await_zero();
+  await_end_of_promise();
+  ASSERT_TRUE(saw_event(suture_v1_EVENT_FAULT, suture_v1_FAULT_POSE_STALE));
+  const std::vector<ToolForce> forces = watcher_.all();
+  expect_within_limits(forces);
+  expect_zero_after(forces, last_answer_ns(forces));
+  ASSERT_TRUE(saw_event(suture_v1_EVENT_TOOL_RETURNED));
+  watcher_.clear();
+  source = start_source();
+  await_rendering();
+  expect_within_limits(watcher_.all());
+}
+
+TEST_F(Serve, EndsTheForceOfADeviceThatStallsAndGivesItBack) {
+  start_server();
+  const auto source = start_source();
+  await_rendering();
+  source->send(SIGSTOP);
+  await_zero();
+  await_end_of_promise();
+  ASSERT_TRUE(saw_event(suture_v1_EVENT_FAULT, suture_v1_FAULT_POSE_STALE));
+  std::vector<ToolForce> forces = watcher_.all();
+  expect_within_limits(forces);
+  expect_zero_after(forces, last_answer_ns(forces));
+  source->send(SIGCONT);
+  await_rendering();
+  ASSERT_TRUE(saw_event(suture_v1_EVENT_RECOVERED));
+  expect_within_limits(watcher_.all());
+}
+
+struct BadPose {
+  const char* name;
+  std::uint32_t fault;
+  void (*spoil)(suture::v1::ToolPose&);
+};
+
+class ServeBadPose : public Serve, public ::testing::WithParamInterface<BadPose> {};
+
+TEST_P(ServeBadPose, EndsTheForceSmoothlyAndGivesItBack) {
+  start_server();
+  const auto device = start_device();
+  await_rendering();
+  const std::uint64_t first_bad = device->spoil(GetParam().spoil);
+  await_zero();
+  ASSERT_TRUE(saw_event(suture_v1_EVENT_FAULT, GetParam().fault));
+  // Long enough that something is sent after the promised time.
+  ASSERT_TRUE(eventually([&] { return watcher_.last().pose_sequence > first_bad + 100; }));
+  const std::vector<ToolForce> forces = watcher_.all();
+  expect_within_limits(forces);
+  expect_zero_after(forces, last_answer_ns(forces, first_bad));
+  EXPECT_NE(forces.back().faults & GetParam().fault, 0U);
+  device->spoil(nullptr);
+  await_rendering();
+  ASSERT_TRUE(saw_event(suture_v1_EVENT_RECOVERED));
+  expect_within_limits(watcher_.all());
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Faults, ServeBadPose,
+    ::testing::Values(BadPose{"NotANumber", suture_v1_FAULT_POSE_NOT_FINITE,
+                              [](suture::v1::ToolPose& pose) {
+                                pose.position_m[0] = std::numeric_limits<double>::quiet_NaN();
+                              }},
+                      BadPose{"WrongQuaternion", suture_v1_FAULT_POSE_QUATERNION,
+                              [](suture::v1::ToolPose& pose) { pose.orientation_xyzw[3] = 2.0; }},
+                      BadPose{"Jumps", suture_v1_FAULT_POSE_JUMP,
+                              [](suture::v1::ToolPose& pose) {
+                                if (pose.sequence_number % 2 == 0) pose.position_m[2] += 0.2;
+                              }}),
+    [](const auto& fault) { return std::string(fault.param.name); });
+
+TEST_F(Serve, TellsASecondDeviceThatTheToolIsInUse) {
+  start_server();
+  const auto device = start_device();
+  await_rendering();
+  const auto rival = start_source();
+  ASSERT_TRUE(saw_event(suture_v1_EVENT_TOOL_IN_USE));
+  const auto forces = watcher_.all();
+  for (const ToolForce& force : forces)
+    ASSERT_TRUE(suture::guid_of(force.device) == device->guid());
+  expect_within_limits(forces);
+}
+
+// What the SDK hands to the hand while its server is stopped, or dies and comes again.
+class ServeHand : public Serve {
+ protected:
+  struct Felt {
+    std::int64_t time_ns;
+    double force_n;
+    suture::ForceState state;
+    std::uint64_t sequence;
+  };
+
+  void start_hand() {
+    suture::DeviceOptions options;
+    options.domain = session_.domain;
+    options.session = session_.session;
+    options.tool = "probe";
+    options.timeout = std::chrono::seconds(20);
+    options.give_up_after = {};
+    device_.emplace(options);
+    hand_ = std::thread([this] {
+      device_->run([this](const suture::Force& force, std::chrono::nanoseconds) {
+        const std::lock_guard lock(mutex_);
+        felt_.push_back({suture::monotonic_ns(),
+                         std::hypot(force.force_n[0], force.force_n[1], force.force_n[2]),
+                         force.state, force.sequence});
+        suture::Hand hand;
+        hand.position_m = {0.011, 0.009, kTouching_m};
+        return hand;
+      });
+    });
+  }
+  void TearDown() override {
+    if (device_) device_->stop();
+    if (hand_.joinable()) hand_.join();
+  }
+  bool await_hand(bool feeling) {
+    return eventually([&] {
+      const std::lock_guard lock(mutex_);
+      if (felt_.empty()) return false;
+      const Felt& last = felt_.back();
+      return feeling ? last.state == suture::ForceState::kRendering && last.force_n > 0.02
+                     : last.force_n == 0.0;
+    });
+  }
+  /// After each last new force before a gap of 50 ms the hand felt nothing 50 ms later.
+  void expect_safe() {
+    const std::lock_guard lock(mutex_);
+    int gaps = 0;
+    std::int64_t fresh_ns = felt_.front().time_ns;
+    std::uint64_t sequence = 0;
+    bool counted = false;
+    for (const Felt& felt : felt_) {
+      EXPECT_LE(felt.force_n, kMaxForce_n * (1 + 1e-9));
+      if (felt.sequence != sequence) {
+        sequence = felt.sequence;
+        fresh_ns = felt.time_ns;
+        counted = false;
+      } else if (felt.time_ns - fresh_ns > kPromise_ns) {
+        gaps += !counted;
+        counted = true;
+        EXPECT_EQ(felt.force_n, 0.0);
+      }
+    }
+    EXPECT_GE(gaps, 1) << "the server's silence was not seen";
+  }
+
+  std::optional<suture::Device> device_;
+  std::thread hand_;
+  std::mutex mutex_;
+  std::vector<Felt> felt_;
+};
+
+TEST_F(ServeHand, IsSafeWhileTheServerStalls) {
+  start_server();
+  start_hand();
+  ASSERT_TRUE(await_hand(true));
+  server_->send(SIGSTOP);
+  ASSERT_TRUE(await_hand(false));
+  ASSERT_TRUE(eventually([this] {
+    const std::lock_guard lock(mutex_);
+    return felt_.back().state == suture::ForceState::kServerSilent;
+  }));
+  std::this_thread::sleep_for(std::chrono::milliseconds(100));  // let the silence last
+  server_->send(SIGCONT);
+  ASSERT_TRUE(await_hand(true));
+  expect_safe();
+  expect_within_limits(watcher_.all());
+}
+
+TEST_F(ServeHand, IsSafeWhenTheServerIsKilledAndFeelsTheNextOne) {
+  start_server();
+  start_hand();
+  ASSERT_TRUE(await_hand(true));
+  server_->send(SIGKILL);
+  ASSERT_TRUE(await_hand(false));
+  start_server();
+  ASSERT_TRUE(await_hand(true));
+  expect_safe();
+}
+
+TEST_F(Serve, EndsCleanlyOnEitherSignalWithTheForceAtZero) {
+  for (const int signal : {SIGINT, SIGTERM}) {
+    start_server();
+    {
+      const auto device = start_device();
+      await_rendering();
+      server_->send(signal);
+      EXPECT_EQ(server_->wait(), 0) << server_->output();
+    }
+    const std::vector<ToolForce> forces = watcher_.all();
+    EXPECT_EQ(norm(forces.back().force_n), 0.0);
+    EXPECT_EQ(forces.back().state, suture_v1_TOOL_STOPPED);
+    expect_within_limits(forces);
+    EXPECT_NE(server_->output().find("stopping"), std::string::npos);
+    watcher_.clear();
+  }
+}
+
+TEST_F(Serve, SaysThatItLeavesInItsLastStatus) {
+  suture::Reader<suture::v1::ServerStatus> status(participant_);
+  start_server({"--duration", "1"});
+  EXPECT_EQ(server_->wait(), 0);
+  suture_v1_ServerState last = suture_v1_SERVER_STARTING;
+  std::string reason;
+  ASSERT_TRUE(eventually([&] {
+    status.take_each([&](const suture::v1::ServerStatus& s, const suture::SampleInfo& info) {
+      if (!info.valid) return;
+      last = s.state;
+      reason = suture::text_of(s.state_reason);
+    });
+    return last == suture_v1_SERVER_LEAVING;
+  }));
+  EXPECT_EQ(reason, "its duration is over");
+}
+
+TEST_F(Serve, RefusesASecondServerInTheSameSessionOnly) {
+  start_server();
+  Process second({SUTURED_PROGRAM, "serve", scene_, "--domain", std::to_string(session_.domain),
+                  "--session", session_.session});
+  EXPECT_EQ(second.wait(), 3);
+  EXPECT_NE(second.output().find("has a server"), std::string::npos) << second.output();
+  EXPECT_NE(second.output().find("--session"), std::string::npos) << second.output();
+  Process other({SUTURED_PROGRAM, "serve", scene_, "--domain", std::to_string(session_.domain),
+                 "--session", session_.session + "-other", "--duration", "0.1"});
+  EXPECT_EQ(other.wait(), 0) << other.output();
+}
+
+TEST_F(Serve, NamesWhatIsWrongWithItsCommandLine) {
+  const auto refuses = [this](std::vector<std::string> more, int code, const std::string& text) {
+    std::vector<std::string> command{SUTURED_PROGRAM, "serve"};
+    command.insert(command.end(), more.begin(), more.end());
+    Process process(command);
+    EXPECT_EQ(process.wait(), code) << process.output();
+    EXPECT_NE(process.output().find(text), std::string::npos) << process.output();
+  };
+  refuses({scene_, "--domain", "7"}, 2, "even");
+  refuses({scene_, "--rate", "5"}, 2, "rate");
+  refuses({scene_, "--http", "127.0.0.1:8080"}, 2, "gateway");
+  refuses({scene_, "--duration", "-1"}, 2, "duration");
+  refuses({folder_.path("missing.toml")}, 1, "missing.toml");
+  refuses({folder_.write("bad.toml", "name = \n")}, 1, "bad.toml:1");
+}
+
+TEST_F(Serve, ObeysPauseResumeStopAndReset) {
+  start_server();
+  const auto device = start_device();
+  await_rendering();
+  suture::SessionOptions options;
+  options.domain = session_.domain;
+  options.session = session_.session;
+  options.timeout = std::chrono::seconds(20);
+  suture::Session session(options);
+  const auto await_state = [&](suture_v1_ToolState state) {
+    return eventually([&] {
+      const ToolForce force = watcher_.last();
+      return force.state == state &&
+             (state == suture_v1_TOOL_RENDERING ? norm(force.force_n) > 0.02
+                                                : norm(force.force_n) == 0.0);
+    });
+  };
+  session.command(suture::CommandKind::kPause);
+  EXPECT_TRUE(await_state(suture_v1_TOOL_PAUSED));
+  session.command(suture::CommandKind::kResume);
+  EXPECT_TRUE(await_state(suture_v1_TOOL_RENDERING));
+  session.command(suture::CommandKind::kStop);
+  EXPECT_TRUE(await_state(suture_v1_TOOL_STOPPED));
+  session.command(suture::CommandKind::kResume);
+  EXPECT_TRUE(await_state(suture_v1_TOOL_RENDERING));
+  const std::uint64_t epoch = watcher_.last().epoch;
+  session.command(suture::CommandKind::kReset);
+  EXPECT_TRUE(eventually([&] { return watcher_.last().epoch > epoch; }));
+  EXPECT_TRUE(await_state(suture_v1_TOOL_RENDERING));
+  for (const auto kind : {suture_v1_EVENT_PAUSED, suture_v1_EVENT_RESUMED, suture_v1_EVENT_STOPPED,
+                          suture_v1_EVENT_RESET})
+    EXPECT_TRUE(saw_event(kind)) << kind;
+  expect_within_limits(watcher_.all());
+  EXPECT_THROW(session.command(suture::CommandKind::kReleaseTool, "spoon"), suture::Error);
+}
+
+}  // namespace
+}  // namespace sutured
