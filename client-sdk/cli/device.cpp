@@ -263,7 +263,8 @@ Outcome play(const DeviceArguments& arguments, const SurgeonTrack& track, ForceL
       log.push({*time_s, hand_then(*time_s), force});
     }
   };
-  Device device(options);
+  std::optional<Device> held(std::in_place, options);
+  Device& device = *held;
   if (!arguments.quiet) {
     std::printf("scene %s, tool %s: playing %s, %.2f s at %g Hz\n", device.scene().c_str(),
                 arguments.tool.c_str(), arguments.surgeon.c_str(), track.end_s(),
@@ -301,13 +302,15 @@ Outcome play(const DeviceArguments& arguments, const SurgeonTrack& track, ForceL
     outcome.duration_s = time_s;
     outcome.rendered_peak_n = rendered_peak_n;
   }
-  // The answer to the last hand is on its way, and the status that tells of the end.
+  // The answer to the last hand is on its way; then the tool goes back, and the next status
+  // tells of the end.
   static_cast<void>(device.read_after(sequence, std::chrono::milliseconds(100)));
+  outcome.counts = device.statistics();
+  if (renders_itself) outcome.counts.peak_force_n = outcome.rendered_peak_n;
+  held.reset();
   book.await_status_after(wall_clock_ns(), std::chrono::milliseconds(1200));
   viewer.close();
   log.finish();
-  outcome.counts = device.statistics();
-  if (renders_itself) outcome.counts.peak_force_n = outcome.rendered_peak_n;
   outcome.steps = book.steps();
   outcome.events = book.entries();
   outcome.log_dropped = log.dropped();

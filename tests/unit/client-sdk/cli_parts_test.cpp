@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "force_log.hpp"
+#include "force_plot.hpp"
+
+namespace suture::cli {
+namespace {
+
+using ::testing::HasSubstr;
+
+TEST(ForceTrace, KeepsEveryPeakHoweverLongItGets) {
+  ForceTrace trace;
+  constexpr int kSamples = 1'000'000;
+  for (int i = 0; i < kSamples; ++i) {
+    trace.add(1e-3 * i, i == 123'456 ? 9.0 : i == 777'777 ? -1.0 : 1.0);
+  }
+  EXPECT_LE(trace.size(), 4096U);
+  EXPECT_GE(trace.size(), 2048U);
+  double highest = 0.0, lowest = 1.0;
+  for (const ForceTrace::Column& column : trace) {
+    if (column.max_n > highest) {
+      highest = column.max_n;
+      EXPECT_TRUE(highest == 1.0 || std::abs(column.time_s - 123.456) < 0.6) << column.time_s;
+    }
+    lowest = std::min(lowest, column.min_n);
+  }
+  EXPECT_EQ(highest, 9.0);
+  EXPECT_EQ(lowest, -1.0);
+  EXPECT_TRUE(std::is_sorted(trace.begin(), trace.end(),
+                             [](const auto& a, const auto& b) { return a.time_s < b.time_s; }));
+}
+
+TEST(ForcePlot, ShowsTitleAxesMarksAndCurve) {
+  ForceTrace trace;
+  for (int i = 0; i <= 100; ++i) trace.add(0.1 * i, 0.02 * i);
+  const PlotMark mark{5.0, "puncture <wall>"};
+  const std::string svg = force_plot_svg(trace, {&mark, 1}, "a & b");
+  EXPECT_THAT(svg, HasSubstr("a &amp; b"));
+  EXPECT_THAT(svg, HasSubstr("puncture &lt;wall&gt;"));
+  EXPECT_THAT(svg, HasSubstr("time (s)"));
+  EXPECT_THAT(svg, HasSubstr(">2</text>"));   // the peak, a round number
+  EXPECT_THAT(svg, HasSubstr(">10</text>"));  // the end
+  EXPECT_EQ(svg.find("nan"), std::string::npos);
+  EXPECT_EQ(svg.find("inf"), std::string::npos);
+}
+
+TEST(ForcePlot, TakesNothingAndZeroForces) {
+  for (const bool some : {false, true}) {
+    ForceTrace trace;
+    if (some) trace.add(0.0, 0.0);
+    const std::string svg = force_plot_svg(trace, {}, "still");
+    EXPECT_THAT(svg, HasSubstr("</svg>"));
+    EXPECT_EQ(svg.find("nan"), std::string::npos);
+    EXPECT_EQ(svg.find("inf"), std::string::npos);
+  }
+}
+
+TEST(ForceLog, RefusesAFileThatCannotBeWritten) {
+  EXPECT_THROW(ForceLog("/no/such/folder/log.csv"), Error);
+}
+
+}  // namespace
+}  // namespace suture::cli
