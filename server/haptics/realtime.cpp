@@ -53,6 +53,11 @@ bool enter_realtime(int priority) noexcept {
   return pthread_setschedparam(pthread_self(), SCHED_FIFO, &parameters) == 0;
 }
 
+void go_before_ordinary_threads() noexcept {
+  // On Linux a nice value is the thread's own.
+  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), -10);
+}
+
 void name_thread(const char* name) noexcept { pthread_setname_np(pthread_self(), name); }
 
 }  // namespace sutured::haptics

@@ -23,6 +23,10 @@ struct RealtimeReport {
 /// Puts the calling thread under SCHED_FIFO; false where not permitted.
 bool enter_realtime(int priority) noexcept;
 
+/// Lets the calling thread go before ordinary ones (nice −10) where that is permitted. For
+/// the simulation, which may use a whole core and so must not be SCHED_FIFO.
+void go_before_ordinary_threads() noexcept;
+
 /// Names the calling thread, for debuggers and `top -H` (15 characters).
 void name_thread(const char* name) noexcept;
 

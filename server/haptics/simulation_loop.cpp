@@ -64,6 +64,7 @@ void SimulationLoop::begin_epoch() {
 
 void SimulationLoop::run() noexcept {
   name_thread("simulation");
+  go_before_ordinary_threads();
   std::int64_t due_ns = suture::monotonic_ns() + period_ns_;
   std::uint64_t beats = 1;  // of the clock, since the last step
   try {
