@@ -45,9 +45,7 @@ fem::Model assemble_model(const scene::Scene& scene) {
     model.materials.push_back({tissue.young_modulus_pa, tissue.poisson_ratio});
     density.push_back(tissue.density_kg_per_m3);
     for (const scene::Region& region : tissue.regions) {
-      const auto* group = tissue.mesh.find_group(region.group);
-      if (group == nullptr) continue;  // the reader has refused unknown groups
-      for (const auto tet : group->tets)
+      for (const auto tet : region.tets)
         model.material_of_tet[first_tet + at(tet)] =
             static_cast<std::int32_t>(model.materials.size());
       model.materials.push_back({region.young_modulus_pa, region.poisson_ratio});
