@@ -144,9 +144,11 @@ void Endpoint::open_writer(const Participant& participant, const TopicSpec& spec
 }
 
 void Endpoint::close() noexcept {
-  // Deleting a reader or writer waits for its callbacks to end.
-  if (handle_ > 0) dds_delete(std::exchange(handle_, 0));
-  if (topic_ > 0) dds_delete(std::exchange(topic_, 0));
+  // Deleting a reader or writer waits for its callbacks to end; they may use the handle
+  // until then.
+  if (handle_ > 0) dds_delete(handle_);
+  if (topic_ > 0) dds_delete(topic_);
+  handle_ = topic_ = 0;
 }
 
 WaitSet::WaitSet() {
