@@ -152,6 +152,7 @@ void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& pub
   wire.max_force_slew_n_per_s = limits.max_force_slew_n_per_s;
   wire.max_torque_slew_nm_per_s = limits.max_torque_slew_nm_per_s;
   wire.stale_after_ns = model.stale_after_ns;
+  wire.period_ns = model.period_ns;
   wire.blend_ns = std::min(kBlend_ns, model.period_ns);
   wire.ramp_ns = haptics::kFade_ns;
   copy(published.mapping.position_m(), wire.mapping.position_m);
