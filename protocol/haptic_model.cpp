@@ -177,6 +177,8 @@ int ModelEvaluator::violations(const HapticModel& model) noexcept {
   residual_m_ = 0.0;
   for (int i = 0; i < model.rows; ++i) {
     wanted_[i] = state_[i];
+    // A row without room (friction under a normal force of zero) is right at any gap.
+    if (model.multiplier_max_n[i] <= kMultiplierTolerance_n) continue;
     if (state_[i] == Row::kFree) {
       const double over = lambda_[i] - model.multiplier_max_n[i];
       if (lambda_[i] < -kMultiplierTolerance_n) wanted_[i] = Row::kZero;

@@ -71,7 +71,9 @@ class RandomModels {
       const Vec6 row = twist(1.0, 0.005);
       for (int k = 0; k < 6; ++k) model.jacobian[i][k] = row[k];
       model.offset_m[i] = uniform(-1e-3, 1e-3);
-      model.multiplier_max_n[i] = i % 3 == 0 ? 0.05 : std::numeric_limits<double>::infinity();
+      model.multiplier_max_n[i] = i % 7 == 5   ? 0.0  // no room: friction without pressure
+                                  : i % 3 == 0 ? 0.05
+                                               : std::numeric_limits<double>::infinity();
     }
     Mat6 l = Mat6::Zero();
     for (int i = 0; i < 6; ++i)
