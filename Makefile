@@ -56,6 +56,14 @@ test: deps-test ## Build and run every test
 	@cmake --build --preset dev
 	@ctest --preset dev --progress
 
+.PHONY: bench
+bench: deps-test ## Measure the budgets: a table, and build/bench/results.json
+	@cmake --preset release -DSUTURED_TESTS=OFF -DSUTURED_BENCH=ON >/dev/null
+	@cmake --build --preset release
+	@mkdir -p build/bench
+	@$(BIN)/tests/bench/sutured_bench --out build/bench/results.json \
+	  --commit "$$(git describe --always --dirty 2>/dev/null || echo unknown)"
+
 .PHONY: format
 format: deps-check ## Rewrite the sources in the house style
 	@git ls-files '*.cpp' '*.hpp' | xargs -r clang-format -i

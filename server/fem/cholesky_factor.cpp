@@ -310,8 +310,9 @@ std::int64_t CholeskyFactor::stored_values() const {
 
 void CholeskyFactor::solve(std::span<const double> b, std::span<double> x) const {
   cholmod_dense right{};
-  right.nrow = right.d = right.nzmax = b.size();
-  right.ncol = 1;
+  right.nrow = right.d = static_cast<std::size_t>(impl_->size);
+  right.nzmax = b.size();
+  right.ncol = b.size() / right.nrow;
   right.x = const_cast<double*>(b.data());  // NOLINT: CHOLMOD's C interface has no const
   right.xtype = CHOLMOD_REAL;
   right.dtype = CHOLMOD_DOUBLE;

@@ -52,7 +52,8 @@ class CholeskyFactor {
   [[nodiscard]] std::int32_t vertex_count() const;
   [[nodiscard]] std::int64_t stored_values() const;  ///< doubles in L's panels
 
-  /// Solves K x = b with CHOLMOD (both of length size()). Allocates. For set-up and oracles.
+  /// Solves K x = b with CHOLMOD for one or more columns, one after the other (both of length
+  /// size() × columns). Allocates. For set-up and oracles.
   void solve(std::span<const double> b, std::span<double> x) const;
 
   /// Fills `columns` for vertex v by one walk up its path. Allocates only when `columns.value`

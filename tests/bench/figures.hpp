@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Named figures: what `make bench` prints and writes to results.json.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace sutured::bench {
+
+/// One measured figure. Where there is a budget, the figure is to stay at or below it.
+struct Figure {
+  std::string name;  ///< "step_ms.paper.p50"
+  double value = 0.0;
+  std::string unit;
+  std::optional<double> budget;
+};
+
+/// The figures of one run, in order.
+class Figures {
+ public:
+  /// Adds a figure and prints its line of the table.
+  void add(std::string name, double value, std::string unit,
+           std::optional<double> budget = std::nullopt);
+  /// Prints the table's head.
+  void begin() const;
+  /// Writes a flat object of figures and of `facts` (machine, compiler, …). Throws
+  /// std::runtime_error where the file cannot be written.
+  void write(const std::string& path,
+             const std::vector<std::pair<std::string, std::string>>& facts) const;
+  [[nodiscard]] int missed() const { return missed_; }
+
+ private:
+  std::vector<Figure> figures_;
+  int missed_ = 0;
+};
+
+/// Returns the `fraction` quantile of `values`, the nearest one above; they get sorted.
+/// At least one value.
+[[nodiscard]] double quantile(std::vector<double>& values, double fraction);
+
+/// Returns the processor time that `work()` takes on this thread, in microseconds: what others
+/// do with a shared machine meanwhile does not count.
+template <typename Work>
+[[nodiscard]] double time_us(Work&& work);
+
+// Each measures its part of DESIGN section 9 and adds its figures.
+void measure_step(Figures& figures);
+void measure_tissue(Figures& figures);
+void measure_tick(Figures& figures);
+void measure_roundtrip(Figures& figures);
+
+/// Answers every pose of a session with a force, without any thought, until it is killed.
+[[noreturn]] void echo(std::uint32_t domain, const std::string& session);
+
+/// Returns the processor time that this thread has used.
+[[nodiscard]] std::int64_t thread_time_ns();
+
+template <typename Work>
+double time_us(Work&& work) {
+  const std::int64_t begun_ns = thread_time_ns();
+  work();
+  return 1e-3 * static_cast<double>(thread_time_ns() - begun_ns);
+}
+
+}  // namespace sutured::bench

@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// sutured_bench: the budgets of DESIGN section 9, measured. `make bench` builds the release
+// preset and runs it.
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cstdio>
+#include <fstream>
+#include <thread>
+
+#include "bench/figures.hpp"
+
+namespace {
+
+std::string machine() {
+  std::ifstream file("/proc/cpuinfo");
+  std::string line;
+  while (std::getline(file, line))
+    if (line.starts_with("model name"))
+      return line.substr(line.find(": ") + 2) + ", " +
+             std::to_string(std::thread::hardware_concurrency()) + " processors";
+  return "unknown";
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("Measures the budgets and writes them as one flat JSON object");
+  std::string out = "results.json", commit = "unknown";
+  std::vector<std::string> only;
+  app.add_option("--out", out, "The file to write");
+  app.add_option("--commit", commit, "What was built, for the record");
+  app.add_option("--only", only, "Measure these alone: step, tissue, tick, roundtrip");
+  std::uint32_t echo_domain = 0;
+  std::string session;
+  auto* echo = app.add_option("--echo", echo_domain, "Be the bare echo in this DDS domain instead");
+  app.add_option("--session", session, "Session of the echo")->needs(echo);
+  CLI11_PARSE(app, argc, argv);
+
+  using Measure = void (*)(sutured::bench::Figures&);
+  const std::vector<std::pair<std::string, Measure>> parts = {
+      {"step", sutured::bench::measure_step},
+      {"tissue", sutured::bench::measure_tissue},
+      {"tick", sutured::bench::measure_tick},
+      {"roundtrip", sutured::bench::measure_roundtrip},
+  };
+  try {
+    if (*echo) sutured::bench::echo(echo_domain, session);
+    const std::vector<std::pair<std::string, std::string>> facts = {
+        {"machine", machine()},
+        {"compiler", "gcc " __VERSION__},
+        {"preset", SUTURED_PRESET},
+        {"commit", commit},
+    };
+    for (const auto& [name, value] : facts) std::printf("%-9s %s\n", name.c_str(), value.c_str());
+    sutured::bench::Figures figures;
+    figures.begin();
+    for (const auto& [name, measure] : parts)
+      if (only.empty() || std::find(only.begin(), only.end(), name) != only.end()) measure(figures);
+    figures.write(out, facts);
+    std::printf("%d budgets missed; figures in %s\n", figures.missed(), out.c_str());
+    return 0;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "sutured_bench: %s\n", error.what());
+    return 1;
+  }
+}

@@ -1,0 +1,109 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The server's haptic tick, a pose in and a force out, with as many unilateral rows as a model
+// holds and a hand that makes them switch.
+#include <cmath>
+#include <memory>
+#include <random>
+
+#include "bench/figures.hpp"
+#include "haptics/tool_channel.hpp"
+#include "scene/scene.hpp"
+#include "support/heap_guard.hpp"
+
+namespace sutured::bench {
+namespace {
+
+using haptics::kMillisecond_ns;
+constexpr int kRows = suture::kModelRowsMax;
+constexpr std::int64_t kPeriod_ns = 4 * kMillisecond_ns;
+
+/// Tissue in contact all round the tool: compliances as of a wall of a vessel (30 N/m), rows
+/// that share half of it, normals in all directions, a third of the gaps closed.
+std::unique_ptr<suture::HapticModel> contact_all_round(std::mt19937_64& random) {
+  std::normal_distribution<double> normal;
+  auto model = std::make_unique<suture::HapticModel>();
+  model->epoch = 1;
+  model->period_ns = kPeriod_ns;
+  model->touching = true;
+  model->rows = kRows;
+  std::array<std::array<double, 24>, kRows> shape{};
+  for (int i = 0; i < kRows; ++i) {
+    for (double& x : shape[i]) x = normal(random);
+    double norm = 0.0;
+    std::array<double, 3> direction{};
+    for (double& x : direction) norm = std::hypot(norm, x = normal(random));
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      model->jacobian[i][axis] = direction[axis] / norm;
+      model->jacobian[i][3 + axis] = 2e-3 * normal(random);
+    }
+    model->offset_m[i] = 2e-4 * (normal(random) - 0.4);
+    model->multiplier_max_n[i] = i == 0 ? 0.05 : HUGE_VAL;
+    for (int j = 0; j <= i; ++j) {
+      double shared = 0.0;
+      for (std::size_t k = 0; k < shape[i].size(); ++k) shared += shape[i][k] * shape[j][k];
+      model->compliance_m_per_n[suture::packed_index(i, j)] =
+          0.03 / 24 * 0.5 * shared + (i == j ? 0.015 : 0.0);
+    }
+  }
+  return model;
+}
+
+/// Brings the caches to where other work of a millisecond leaves them.
+class OtherWork {
+ public:
+  void run() {
+    for (std::size_t i = 0; i < bytes_.size(); i += 64)
+      bytes_[i] = static_cast<char>(bytes_[i] + 1);
+  }
+
+ private:
+  std::vector<char> bytes_ = std::vector<char>(8U << 20U);
+};
+
+}  // namespace
+
+void measure_tick(Figures& figures) {
+  constexpr int kTicks = 20000, kSettling = 300;
+  std::mt19937_64 random(1);
+  haptics::ToolChannel channel(scene::Tool{}, kPeriod_ns);
+  const auto model = contact_all_round(random);
+  OtherWork other;
+  std::vector<double> tick_us;
+  tick_us.reserve(kTicks);
+  std::uint64_t allocations = 0;
+  std::int64_t now = 1'000 * kMillisecond_ns;
+  haptics::PoseSample pose;
+  pose.writer = 1;
+  for (int tick = 0; tick < kSettling + kTicks; ++tick) {
+    now += kMillisecond_ns;
+    if (tick % 4 == 0) {
+      // The world goes along with the hand only slowly, so that the motion within a model is
+      // what 30 mm/s make of a late one.
+      ++model->sequence;
+      model->reference.position_m[0] = 1e-4 * std::sin(1e-3 * tick);
+      suture::complete_model(*model);
+      channel.publish_model(*model, now, now);
+    }
+    const double t = 1e-3 * tick;
+    pose.sequence = static_cast<std::uint64_t>(tick) + 1;
+    pose.pose.position_m = {5e-4 * std::sin(40 * t), 5e-4 * std::sin(47 * t + 1),
+                            5e-4 * std::sin(53 * t + 2)};
+    other.run();
+    const testing::HeapGuard heap;
+    std::optional<haptics::ForceSample> force;
+    const double took_us = time_us([&] { force = channel.on_pose(pose, now); });
+    allocations += heap.allocations();
+    if (tick >= kSettling && force && force->state == haptics::ToolState::kRendering)
+      tick_us.push_back(took_us);
+  }
+  if (tick_us.size() < kTicks * 9 / 10)
+    throw std::runtime_error("the tick was rendering in only " + std::to_string(tick_us.size()) +
+                             " of " + std::to_string(kTicks) + " ticks: nothing to measure");
+  figures.add("tick_us.p50", quantile(tick_us, 0.5), "us");
+  figures.add("tick_us.p999", quantile(tick_us, 0.999), "us", 100.0);
+  figures.add("tick_allocations", static_cast<double>(allocations), "", 0.0);
+  figures.add("tick_pivots_exhausted",
+              static_cast<double>(channel.counters().of(haptics::Fault::kModelPivots)), "");
+}
+
+}  // namespace sutured::bench
