@@ -151,7 +151,8 @@ std::string Server::notes() const {
     std::ostringstream line;
     line << "tool \"" << tool.name << "\" may show " << limits.max_force_n << " N and "
          << limits.max_torque_nm << " N·m: its slew limits cannot end more in time (docs/adr/0022)";
-    text += (text.empty() ? "" : "\n") + line.str();
+    if (!text.empty()) text += '\n';
+    text += line.str();
   }
   return text;
 }
