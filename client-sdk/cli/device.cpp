@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <condition_variable>
@@ -50,6 +51,9 @@ class EventBook {
     Event event;
   };
   explicit EventBook(bool print) : print_(print), start_ns_(wall_clock_ns()) {}
+
+  /// Sets the zero of the surgeon's clock: now.
+  void begin_play() { start_ns_ = wall_clock_ns(); }
 
   void add(const Event& event) {
     if (event.stamp_ns < start_ns_) return;  // kept from before this device
@@ -110,7 +114,7 @@ class EventBook {
  private:
   static constexpr std::size_t kMost = 10'000;
   bool print_;
-  std::int64_t start_ns_;
+  std::atomic<std::int64_t> start_ns_;
   std::mutex mutex_;
   std::condition_variable changed_;
   std::vector<Entry> entries_;
@@ -295,6 +299,7 @@ Outcome play(const DeviceArguments& arguments, const SurgeonTrack& track, ForceL
         log.push({felt_s, hand_then(felt_s), force});
         rendered_peak_n = std::max(rendered_peak_n, length_of(force.force_n));
       }
+      if (sequence == 0) book.begin_play();  // events count from the first hand
       sent->note(++sequence, time_s);
       return hand_then(time_s);
     };
