@@ -248,11 +248,17 @@ std::span<const Crossing> Path::enter(const TissueView& tissue, const Pose& pose
   return crossings_;
 }
 
-std::span<const Crossing> Path::leave(const TissueView& tissue, const Pose& pose) {
+std::span<const Crossing> Path::leave(const TissueView& tissue, const Pose& pose,
+                                      const BoundaryPoint& wall) {
   crossings_.clear();
   const Cell& tip = cells_.back();
   const Vec3 shift = tissue.at(tip.tet, tip.barycentric) - curve_.point(pose, tip.s_mid);
   walk(tissue, pose, shift, tip.s_mid, Passage::kOnce);
+  if (tip_inside()) {
+    // The tip stands at the wall without being through: it goes out where it stands.
+    cells_.back().left = wall;
+    crossings_.push_back({Crossing::Kind::kLeft, wall, curve_.length_m()});
+  }
   for (Cell& cell : cells_) update_active(tissue, pose, cell);
   return crossings_;
 }

@@ -131,8 +131,10 @@ class Path {
   std::span<const Crossing> enter(const TissueView& tissue, const Pose& pose,
                                   const BoundaryPoint& at, double s);
 
-  /// Lets the tip out through the boundary ahead, which it has reached. Precondition: tip inside.
-  std::span<const Crossing> leave(const TissueView& tissue, const Pose& pose);
+  /// Lets the tip out through the boundary it stands at: where its axis crosses one behind the tip,
+  /// or else at `wall`. Precondition: the tip is inside.
+  std::span<const Crossing> leave(const TissueView& tissue, const Pose& pose,
+                                  const BoundaryPoint& wall);
 
   /// Finds the boundary that the tip would meet within `reach_m` ahead along the axis, if it is
   /// inside. The path stays as it is.

@@ -17,6 +17,8 @@ constexpr double kCouplingTimesModulus_m = 0.02;
 constexpr double kTipComplianceTimesModulus = 1e-4 * 2e5;
 // A surface this steep to the axis is not punctured.
 constexpr double kGrazingCosine = 0.05;
+// From inside, a wall along the axis holds the tip by at most the puncture force over this.
+constexpr double kCuttingCosine = 0.2;
 // The weak spring to the last pose that keeps a needle's six unknowns regular.
 constexpr double kHeldSpring_n_per_m = 0.05;
 constexpr double kFreeSpring_n_per_m = 5.0;
@@ -114,13 +116,13 @@ void NeedleBody::find_tip_contact(const TissueState& tissue, double reach_m) {
   tip_.slipping = false;
   if (path_.tip_inside()) {
     if (tip_.side == TipContact::Side::kOutside) tip_ = {};
-    const auto ahead = path_.boundary_ahead(view, pose_, reach_m);
-    if (!ahead) {
+    if (!(tip_.side == TipContact::Side::kInside && tip_.pressing)) {
+      const auto ahead = path_.boundary_ahead(view, pose_, reach_m);
       tip_ = {};
-      return;
+      if (!ahead) return;
+      tip_.side = TipContact::Side::kInside;
+      tip_.at = ahead->first;
     }
-    tip_.side = TipContact::Side::kInside;
-    tip_.at = ahead->first;
     tip_.normal = needle::normal(view, tip_.at.triangle);
     tip_.distance_m = tip_.normal.dot(needle::position(view, tip_.at) - tip);
     return;
@@ -209,10 +211,13 @@ void NeedleBody::add_rows(const TissueState& tissue, ConstraintRows& rows) {
   const bool outside = tip_.side == TipContact::Side::kOutside;
   const Vec3 push = outside ? Vec3(-tip_.normal) : tip_.normal;  // the way the tip pushes the wall
   const double cosine = push.dot(along);
-  add(Bounds::unilateral(cosine > kGrazingCosine ? material.puncture_force_n / cosine
-                                                 : constraints::kUnbounded),
+  // Over a surface at a grazing angle the tip slides; from inside it is sharp, and cuts at any
+  // angle.
+  const double share = outside ? cosine : std::max(std::abs(cosine), kCuttingCosine);
+  add(Bounds::unilateral(share > kGrazingCosine ? material.puncture_force_n / share
+                                                : constraints::kUnbounded),
       push);
-  if (!outside || !tip_.pressing) return;
+  if (!tip_.pressing) return;
   const Vec3 first = tip_.slipping ? tip_.slip_direction : tip_.normal.unitOrthogonal();
   const Bounds cone = tip_.slipping ? Bounds{-tip_.cone_n, tip_.cone_n} : Bounds::bilateral();
   add(cone, first);
@@ -242,7 +247,7 @@ bool NeedleBody::read(const ConstraintRows& rows, std::span<const double> lambda
   tip_.axial_force_n = force_on_tissue.dot(along);
   tip_.tangent_force_n =
       force_on_tissue - tip_.normal_force_n * rows[tip_.first_row].needle_jacobian.head<3>();
-  if (tip_.rows == 3 && !tip_.slipping && may_revise) {
+  if (tip_.rows == 3 && tip_.side == TipContact::Side::kOutside && !tip_.slipping && may_revise) {
     const auto& friction = scene_->tissues[at(tip_tissue_)].surface_friction_coefficient;
     const double cone = friction * tip_.normal_force_n, force = tip_.tangent_force_n.norm();
     if (force > cone) {
@@ -277,10 +282,10 @@ void NeedleBody::commit(const ConstraintRows& rows, std::span<const double> lamb
   began_pressing_ = tip_.pressing && !pressed;
   const auto& material = scene_->tissues[at(tip_tissue_)];
   const bool outside = tip_.side == TipContact::Side::kOutside;
-  const double cosine =
-      (outside ? -1.0 : 1.0) * tip_.normal.dot(curve_.tangent(pose_, curve_.length_m()));
+  const bool faces_wall =
+      !outside || -tip_.normal.dot(curve_.tangent(pose_, curve_.length_m())) > kGrazingCosine;
   const bool through = states[at(tip_.first_row)] == constraints::RowState::kUpper ||
-                       (cosine > kGrazingCosine && tip_.axial_force_n >= material.puncture_force_n);
+                       (faces_wall && tip_.axial_force_n >= material.puncture_force_n);
   pending_puncture_ = through && outside;
   pending_exit_ = through && !outside;
 }
@@ -326,7 +331,7 @@ void NeedleBody::track(const TissueState& tissue, double time_s, std::vector<Eve
   if (pending_puncture_) puncture(tissue, time_s, events);
   if (pending_exit_ && path_.tip_inside()) {
     const double force = tip_.axial_force_n;
-    for (const auto& crossing : path_.leave(view, pose_))
+    for (const auto& crossing : path_.leave(view, pose_, tip_.at))
       if (crossing.kind == needle::Crossing::Kind::kLeft) {
         events.push_back({EventKind::kExit, time_s, description_.name, tissue_name(crossing.at),
                           needle::position(view, crossing.at), force});

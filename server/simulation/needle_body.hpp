@@ -13,8 +13,9 @@
 // The tip, outside: a unilateral row against the nearest surface, and while it presses, two
 // tangential rows to the material point it stands on, which slip beyond the friction cone. The
 // normal row is bounded by what the puncture force leaves it along the axis; at that bound, or when
-// the whole axial force passes it, the tip goes in. Inside, the same row holds it before the
-// wall ahead.
+// the whole axial force passes it, the tip goes in. Inside, the same rows hold it before
+// the wall ahead, but without a cone: a point that has gone through tissue does not skid along its
+// far side.
 #pragma once
 
 #include <optional>

@@ -275,7 +275,7 @@ TEST(Path, AClosedBoundaryStopsTheTip) {
   ASSERT_EQ(crossings.size(), 1U);
   EXPECT_EQ(crossings[0].kind, Crossing::Kind::kBlocked);
   EXPECT_TRUE(path.tip_inside());
-  path.leave(view, pose);
+  path.leave(view, pose, crossings[0].at);
   EXPECT_FALSE(path.tip_inside());
   EXPECT_NEAR(path.embedded_length_m(), 0.01, 1e-12);
 }
