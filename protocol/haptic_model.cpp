@@ -129,12 +129,13 @@ bool ModelEvaluator::factor(const HapticModel& model) noexcept {
       state_[free_[j]] = Row::kZero;
       return false;
     }
-    const double root = std::sqrt(pivot);
-    for (int i = j; i < free_count_; ++i) column[i] /= root;
+    const double per_root = 1.0 / std::sqrt(pivot);
+    for (int i = j; i < free_count_; ++i) column[i] *= per_root;
     for (int k = j + 1; k < free_count_; ++k) {
-      double* next = &factor_[k * kStride];
+      double* __restrict next = &factor_[k * kStride];
+      const double* __restrict done = column;
       const double scale = column[k];
-      for (int i = k; i < free_count_; ++i) next[i] -= scale * column[i];
+      for (int i = k; i < free_count_; ++i) next[i] -= scale * done[i];
     }
   }
   factored_ = true;
@@ -161,11 +162,10 @@ void ModelEvaluator::solve(const HapticModel& model) noexcept {
   std::array<double, kModelRowsMax> x;
   for (int i = 0; i < model.rows; ++i)
     lambda_[i] = state_[i] == Row::kUpper ? model.multiplier_max_n[i] : 0.0;
-  for (int a = 0; a < free_count_; ++a) {
-    double sum = rhs_[free_[a]];
-    for (int j = 0; j < model.rows; ++j)
-      if (state_[j] == Row::kUpper) sum -= compliance(model, free_[a], j) * lambda_[j];
-    x[a] = sum;
+  for (int a = 0; a < free_count_; ++a) x[a] = rhs_[free_[a]];
+  for (int j = 0; j < model.rows; ++j) {
+    if (state_[j] != Row::kUpper) continue;
+    for (int a = 0; a < free_count_; ++a) x[a] -= compliance(model, free_[a], j) * lambda_[j];
   }
   solve_free(x);
   for (int a = 0; a < free_count_; ++a) lambda_[free_[a]] = x[a];
@@ -173,6 +173,26 @@ void ModelEvaluator::solve(const HapticModel& model) noexcept {
 
 // Counts the rows on the wrong side of their condition and says where each belongs.
 int ModelEvaluator::violations(const HapticModel& model) noexcept {
+  // All gaps in one pass over S as it is stored: row j gives to the rows before it, and takes.
+  std::array<double, kModelRowsMax> gaps;
+  for (int j = 0; j < model.rows; ++j) {
+    const double* row = &model.compliance_m_per_n[packed_index(j, 0)];
+    const double lambda = lambda_[j];
+    std::array<double, 4> sum{};
+    int i = 0;
+    for (; i + 4 <= j; i += 4)
+      for (int lane = 0; lane < 4; ++lane) {
+        gaps[i + lane] += row[i + lane] * lambda;
+        sum[lane] += row[i + lane] * lambda_[i + lane];
+      }
+    double rest = row[j] * lambda - rhs_[j];
+    for (; i < j; ++i) {
+      gaps[i] += row[i] * lambda;
+      rest += row[i] * lambda_[i];
+    }
+    gaps[j] = (sum[0] + sum[1]) + (sum[2] + sum[3]) + rest;
+  }
+
   int count = 0;
   residual_m_ = 0.0;
   for (int i = 0; i < model.rows; ++i) {
@@ -186,10 +206,7 @@ int ModelEvaluator::violations(const HapticModel& model) noexcept {
       if (wanted_[i] != state_[i])
         residual_m_ = std::max(residual_m_, compliance(model, i, i) * std::max(-lambda_[i], over));
     } else {
-      double gap = -rhs_[i];
-      for (int j = 0; j <= i; ++j) gap += model.compliance_m_per_n[packed_index(i, j)] * lambda_[j];
-      for (int j = i + 1; j < model.rows; ++j)
-        gap += model.compliance_m_per_n[packed_index(j, i)] * lambda_[j];
+      const double gap = gaps[i];
       const double wrong = state_[i] == Row::kZero ? -gap : gap;
       if (wrong > kGapTolerance_m) {
         wanted_[i] = Row::kFree;
