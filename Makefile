@@ -68,6 +68,19 @@ bench: deps-test ## Measure the budgets: a table, and build/bench/results.json
 format: deps-check ## Rewrite the sources in the house style
 	@git ls-files '*.cpp' '*.hpp' | xargs -r clang-format -i
 
+.PHONY: check-format
+check-format: deps-check ## Say which sources are not in the house style
+	@git ls-files '*.cpp' '*.hpp' | xargs -r clang-format --dry-run -Werror
+
+.PHONY: check
+check: check-format ## The format, clang-tidy, and the unit tests under the sanitizers
+	@cmake --preset dev >/dev/null && cmake --build --preset dev
+	@git ls-files 'server/*.cpp' 'protocol/*.cpp' 'client-sdk/*.cpp' | grep -v examples/ | \
+	  xargs -P "$$(nproc)" -n 4 clang-tidy --quiet -p build/dev
+	@for preset in asan-ubsan tsan; do \
+	  cmake --preset $$preset >/dev/null && cmake --build --preset $$preset && \
+	  ctest --preset $$preset -LE validation || exit 1; done
+
 .PHONY: meshes
 meshes: ## Make the meshes of the scenes anew, with Gmsh
 	$(call install-packages,$(MESH_PACKAGES))

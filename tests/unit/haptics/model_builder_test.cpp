@@ -82,7 +82,7 @@ TEST(FillModel, CarriesAResponseUnchanged) {
     suture::HapticModel model;
     fill_model(response, model);
     EXPECT_EQ(model.rows, rows);
-      const Vec6 xi = Vec6::Unit(0) * 0.5 * model.radius_m;
+    const Vec6 xi = Vec6::Unit(0) * 0.5 * model.radius_m;
     EXPECT_LT((wrench_at(model, xi) - expected_at(response, xi)).norm(), 1e-9);
   }
 }

@@ -22,9 +22,9 @@ enum class Render {
 
 /// Says which tool of which session to hold.
 struct DeviceOptions {
-  std::uint32_t domain = 0;                 ///< even, ≤ 230
-  std::string session;                      ///< empty: the default session
-  std::string tool;                         ///< as in the scene
+  std::uint32_t domain = 0;  ///< even, ≤ 230
+  std::string session;       ///< empty: the default session
+  std::string tool;          ///< as in the scene
   Render render = Render::kServer;
   std::chrono::milliseconds timeout{3000};  ///< to find the server
   /// Properties of DDS, such as those of DDS Security (`dds.sec.auth.identity_ca`, …).
