@@ -130,7 +130,8 @@ struct Device::State {
   void connect();
   void receive() noexcept;                    // receive thread
   void receive_models() noexcept;             // receive thread
-  void account(const Force& force) noexcept;  // receive thread
+  /// Counts a force; returns false for one that a newer force has overtaken on its way, to be dropped.
+  bool account(const Force& force) noexcept;  // receive thread
   [[nodiscard]] std::string incompatible_policy() {
     const std::lock_guard lock(policy_mutex);
     return policy;
@@ -246,8 +247,10 @@ void Device::State::receive() noexcept {
       continue;
     }
     const Force force = to_force(wire, wall_clock_ns());
+    // A server that restarted or was reset counts anew.
+    if (wire.epoch != epoch.load(std::memory_order_relaxed)) last_force_sequence = 0;
     epoch.store(wire.epoch, std::memory_order_relaxed);
-    account(force);
+    if (!account(force)) continue;
     arrivals.publish({force, monotonic_ns()});
     doorbell.ring();
     if (options.on_force) options.on_force(force);
@@ -262,13 +265,15 @@ void Device::State::receive_models() noexcept {
   });
 }
 
-void Device::State::account(const Force& force) noexcept {
+bool Device::State::account(const Force& force) noexcept {
   const auto add = [](std::atomic<std::uint64_t>& counter) {
     counter.store(counter.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
   };
   if (force.sequence < last_force_sequence) {
     add(out_of_order);
-  } else if (force.hand_sequence > last_hand_sequence) {
+    return false;
+  }
+  if (force.hand_sequence > last_hand_sequence) {
     last_hand_sequence = force.hand_sequence;
     last_answered.store(last_hand_sequence, std::memory_order_relaxed);
     add(received);
@@ -276,11 +281,12 @@ void Device::State::account(const Force& force) noexcept {
   } else {
     add(repeated);
   }
-  last_force_sequence = std::max(last_force_sequence, force.sequence);
+  last_force_sequence = force.sequence;
   const double magnitude = norm(force.force_n);
   if (magnitude > peak_force_n.load(std::memory_order_relaxed)) {
     peak_force_n.store(magnitude, std::memory_order_relaxed);
   }
+  return true;
 }
 
 Device::Device(DeviceOptions options) : state_(std::make_unique<State>(std::move(options))) {

@@ -89,7 +89,7 @@ struct DeviceStatistics {
   std::uint64_t forces_received = 0;   ///< answers, each hand counted once
   std::uint64_t hands_unanswered = 0;  ///< of those written before the latest answer
   std::uint64_t repeated = 0;          ///< more than one force for the same hand
-  std::uint64_t out_of_order = 0;      ///< older than one that had come before
+  std::uint64_t out_of_order = 0;      ///< overtaken by a newer one on the way, and dropped
   double peak_force_n = 0.0;
   std::int64_t round_trip_p50_ns = 0;
   std::int64_t round_trip_p99_ns = 0;
