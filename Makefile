@@ -41,14 +41,20 @@ RUN_DIR := out/run
 SCENE := server/scenes/anastomosis/scene.toml
 SURGEON := server/scenes/anastomosis/surgeon.csv
 BIN := build/release
+DOMAIN ?= 0
+PREFIX ?= /usr/local
 
 .PHONY: run
 run: build ## Run the main job: server, a device that plays a surgeon over DDS, plot and summary
-	@BIN=$(BIN) SCENE=$(SCENE) SURGEON=$(SURGEON) OUT=$(RUN_DIR) server/scenes/main_job.sh
+	@BIN=$(BIN) SCENE=$(SCENE) SURGEON=$(SURGEON) OUT=$(RUN_DIR) DOMAIN=$(DOMAIN) server/scenes/main_job.sh
 
 .PHONY: serve
 serve: build ## Serve the anastomosis scene until Ctrl-C
-	@$(BIN)/server/sutured serve $(SCENE)
+	@$(BIN)/server/sutured serve $(SCENE) --domain $(DOMAIN)
+
+.PHONY: install
+install: build ## Install commands, SDK and licences below PREFIX
+	@cmake --install build/release --prefix $(PREFIX) >/dev/null && echo "installed below $(PREFIX)"
 
 .PHONY: test
 test: deps-test ## Build and run every test

@@ -23,4 +23,4 @@ trap - EXIT
 kill -INT $server
 wait $server || { echo "the server ended with $?:"; cat "$OUT/server.log"; exit 1; }
 echo "  server log            $OUT/server.log"
-echo "  summary               $OUT/summary.json"
+echo "  every force           $OUT/forces.csv"

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What a tool feels between steps, condensed from the solved rows (DESIGN section 5).
+// What a tool feels between steps, condensed from the solved rows.
 //
 // With B the rows that cannot switch and U those that can, Jᵗ the tool's columns and k the slide of
 // a needle that slides freely:

@@ -22,8 +22,7 @@ using Clock = std::chrono::steady_clock;
 constexpr double kSubstepMotion_m = 0.25e-3;
 constexpr double kSubstepArm_m = 0.01;
 constexpr int kSubstepsMax = 64;
-// At display rate a step is cut at least this often: sticking depends on the way (DESIGN section
-// 10).
+// At display rate a step is cut at least this often: sticking depends on the way.
 constexpr double kSlowStep_s = 1.0 / 60.0;
 constexpr int kSlowSubsteps = 3;
 // Things are taken into the problem when the motion of two substeps could bring them together.

@@ -24,7 +24,7 @@ struct ToolInput {
 };
 
 /// Unilateral rows that may still switch while a tool moves, all else condensed out
-/// (DESIGN section 5):
+///:
 ///
 ///     gap(ξ) = S λ − q − Ĵ ξ,   0 ≤ λ ≤ λ_max,   gap ⟂ λ
 ///     w(ξ)   = w_0 − A_0 ξ − Ĵᵀ λ
@@ -49,7 +49,7 @@ struct CondensedProblem {
 ///     w(ξ) = wrench − stiffness ξ        while the active set holds
 ///
 /// at the tool's origin, world axes, force on the tool (the hand). `stiffness` has
-/// the slide removed (A P of DESIGN section 5).
+/// the slide removed.
 struct ToolResponse {
   ToolInput reference;
   Vec6 wrench = Vec6::Zero();               ///< N, N·m

@@ -45,7 +45,7 @@ class Figures {
 template <typename Work>
 [[nodiscard]] double time_us(Work&& work);
 
-// Each measures its part of DESIGN section 9 and adds its figures.
+// Each measures its part of the budgets and adds its figures.
 void measure_step(Figures& figures);
 void measure_tissue(Figures& figures);
 void measure_tick(Figures& figures);

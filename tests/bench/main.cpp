@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// sutured_bench: the budgets of DESIGN section 9, measured. `make bench` builds the release
+// sutured_bench: the budgets, measured. `make bench` builds the release
 // preset and runs it.
 #include <CLI/CLI.hpp>
 #include <algorithm>

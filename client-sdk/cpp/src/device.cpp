@@ -128,9 +128,10 @@ struct Device::State {
         guard(std::chrono::nanoseconds(options.silent_after).count()) {}
 
   void connect();
-  void receive() noexcept;                    // receive thread
-  void receive_models() noexcept;             // receive thread
-  /// Counts a force; returns false for one that a newer force has overtaken on its way, to be dropped.
+  void receive() noexcept;         // receive thread
+  void receive_models() noexcept;  // receive thread
+  /// Counts a force; returns false for one that a newer force has overtaken on its way, to be
+  /// dropped.
   bool account(const Force& force) noexcept;  // receive thread
   [[nodiscard]] std::string incompatible_policy() {
     const std::lock_guard lock(policy_mutex);
