@@ -5,6 +5,7 @@
 #include <cerrno>
 #include <charconv>
 #include <cmath>
+#include <filesystem>
 #include <fstream>
 #include <sstream>
 #include <system_error>
@@ -17,6 +18,7 @@ constexpr std::size_t kFields = 10;
 constexpr std::array<const char*, kFields> kNames{"time_s", "tool", "px_m", "py_m", "pz_m",
                                                   "qx",     "qy",   "qz",   "qw",   "jaw"};
 constexpr double kUnitTolerance = 1e-3;
+constexpr double kLargest = 1e6;  // seconds or metres; what is larger is a slip of the pen
 
 /// Where in the file the parser is; makes its errors.
 struct Place {
@@ -74,6 +76,11 @@ double number(const Field& field, std::size_t index, const Place& place) {
   if (fault != std::errc() || stop != end || !std::isfinite(value)) {
     place.fail(field.column, std::string(kNames[index]) + " is \"" + std::string(field.text) + "\"",
                "write a finite number, with a decimal point");
+  }
+  if (std::abs(value) > kLargest) {
+    place.fail(field.column,
+               std::string(kNames[index]) + " is " + std::string(field.text) + ", beyond all use",
+               "write seconds and metres, up to 1e6");
   }
   return value;
 }
@@ -200,6 +207,13 @@ Surgeon parse_surgeon(std::string_view text, const std::string& name) {
 }
 
 Surgeon read_surgeon(const std::string& path) {
+  std::error_code unknown;
+  const auto kind = std::filesystem::status(path, unknown).type();
+  if (kind != std::filesystem::file_type::regular &&
+      kind != std::filesystem::file_type::not_found) {
+    throw Error(ErrorCode::kBadInput, path + ": is not a regular file",
+                "name a surgeon file (CSV)");
+  }
   std::ifstream file(path, std::ios::binary);
   std::ostringstream text;
   if (file) text << file.rdbuf();

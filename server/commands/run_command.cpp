@@ -240,6 +240,10 @@ int run(const RunOptions& options) {
       const auto& p = inputs[i].position_m;
       const auto& q = inputs[i].orientation;
       const auto& w = sim.responses()[i].wrench;
+      if (!w.allFinite())
+        throw std::runtime_error("tool \"" + scene.tools[i].name + "\" feels no finite force at " +
+                                 std::to_string(report.time_s) +
+                                 " s; see whether the scene's numbers make sense");
       peak_force_n[i] = std::max(peak_force_n[i], w.head<3>().norm());
       tool_file << report.time_s << ',' << scene.tools[i].name << ',' << p[0] << ',' << p[1] << ','
                 << p[2] << ',' << q.x() << ',' << q.y() << ',' << q.z() << ',' << q.w() << ','
@@ -273,7 +277,7 @@ void add_run_command(CLI::App& app, int& exit_code) {
   command
       ->add_option("--duration", options->duration_s,
                    "Seconds to simulate; the surgeon's by default")
-      ->check(CLI::PositiveNumber);
+      ->check(CLI::Range(1e-4, 1e6));
   command->add_flag("--quiet", options->quiet, "No progress bar");
   command->footer(
       "Example: sutured run server/scenes/anastomosis/scene.toml \\\n"

@@ -33,7 +33,7 @@ bool is_name(const std::string& name) {
     return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' ||
            c == '-' || c == '.';
   };
-  return !name.empty() && name.size() <= 64 && std::all_of(name.begin(), name.end(), legal);
+  return !name.empty() && name.size() <= 32 && std::all_of(name.begin(), name.end(), legal);
 }
 
 class SceneBuilder {
@@ -93,7 +93,7 @@ class SceneBuilder {
     std::string name = table.required_text("name");
     if (table.has("name") && !is_name(name))
       table.fault("name", "the name \"" + name + "\" cannot be used",
-                  "use up to 64 letters, digits, '_', '-' and '.'");
+                  "use up to 32 letters, digits, '_', '-' and '.'");
     for (const Named& other : others)
       if (!name.empty() && other.name == name)
         table.fault("name", "there are two of " + table.title() + " named \"" + name + "\"",
@@ -161,11 +161,13 @@ class SceneBuilder {
     for (const Vec3& x : tissue.mesh.vertices_m) box.extend(x);
     const double length_m = box.sizes().maxCoeff();
     if (length_m < kPlausibleLengthMin_m || length_m > kPlausibleLengthMax_m) {
-      // The unit that would bring a body of unknown scale nearest to a decimetre.
+      constexpr double kUsualLength_m = 0.05;
+      // The unit that would bring a body of unknown scale nearest to five centimetres, the size of
+      // what is sutured.
       double best = 1.0;
       for (const double unit : {1e-3, 1e-2, 1e-1, 1.0})
-        if (std::abs(std::log10(length_m / tissue.scale * unit / 0.1)) <
-            std::abs(std::log10(length_m / tissue.scale * best / 0.1)))
+        if (std::abs(std::log10(length_m / tissue.scale * unit / kUsualLength_m)) <
+            std::abs(std::log10(length_m / tissue.scale * best / kUsualLength_m)))
           best = unit;
       scene_.notes.push_back("tissue \"" + tissue.name + "\" is " + std::to_string(length_m) +
                              " m long with scale = " + std::to_string(tissue.scale) +

@@ -24,6 +24,9 @@ constexpr double kHeldSpring_n_per_m = 0.05;
 constexpr double kFreeSpring_n_per_m = 5.0;
 // Friction of less embedded length than this is taken at this length.
 constexpr double kFrictionLength_m = 1e-4;
+// A slide gives way no more than this, whatever the friction: beyond it W is badly scaled, and
+// 1 mm of slide in a step costs 10 µN.
+constexpr double kSlideComplianceMax_m_per_n = 100.0;
 // Within this of the hole the tip has left, the wall does not hold it from returning.
 constexpr double kHoleReach_m = 1e-3;
 
@@ -81,7 +84,7 @@ void NeedleBody::begin(const TissueState& tissue, double dt_s, bool held,
     embedded_friction_ += t.friction_n_s_per_m2 * cell.active_length_m;
     static_limit_n_ += t.static_friction_n_per_m * cell.active_length_m;
   }
-  if (embedded_friction_ > 0.0) {
+  if (path_.embedded_length_m() > 0.0) {
     double largest = 0.0;
     for (const auto& t : scene_->tissues) largest = std::max(largest, t.friction_n_s_per_m2);
     embedded_friction_ = std::max(embedded_friction_, largest * kFrictionLength_m);
@@ -91,7 +94,8 @@ void NeedleBody::begin(const TissueState& tissue, double dt_s, bool held,
   mobility_.mobility.setZero();
   mobility_.mobility.diagonal().head<3>().setConstant(1.0 / spring);
   mobility_.mobility.diagonal().tail<3>().setConstant(1.0 / (spring * arm * arm));
-  mobility_.slide_compliance_m_per_n = slides_freely() ? dt_s / embedded_friction_ : 0.0;
+  mobility_.slide_compliance_m_per_n =
+      slides_freely() ? std::min(dt_s / embedded_friction_, kSlideComplianceMax_m_per_n) : 0.0;
 
   if (!least_squares() || !held || !target || path_.embedded_length_m() == 0.0) return;
   // Paper section 3.1: slide first, by as much as brings the embedded part closest to its target.

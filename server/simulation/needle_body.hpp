@@ -83,7 +83,7 @@ class NeedleBody {
   [[nodiscard]] const TipContact& tip() const { return tip_; }
   [[nodiscard]] const scene::Needle& description() const { return description_; }
   [[nodiscard]] bool slides_freely() const {
-    return held_ && !least_squares() && embedded_friction_ > 0.0;
+    return held_ && !least_squares() && path_.embedded_length_m() > 0.0;
   }
   [[nodiscard]] bool least_squares() const {
     return description_.slide == scene::SlideRule::kLeastSquares;

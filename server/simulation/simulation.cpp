@@ -156,7 +156,7 @@ struct Simulation::State {
     time_s = end_s;
     report.complementarity_residual =
         std::max(report.complementarity_residual, last_solve.residual);
-    if (last_solve.residual > kResidualMax)
+    if (!(last_solve.residual <= kResidualMax))  // NaN too
       events.push_back(
           {EventKind::kSolverResidual, time_s, scene.name, "", Vec3::Zero(), last_solve.residual});
   }

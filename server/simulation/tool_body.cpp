@@ -21,6 +21,13 @@ constexpr double kSameFeature_m = 1e-7;
 
 std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
+/// Bounds of a slipping grip's row: along the force nearly all of the limit, across it what is
+/// left, so that the magnitude never passes the limit.
+Bounds slip_bounds(std::size_t axis, double limit) {
+  const double bound = limit * (axis == 0 ? 0.995 : 0.07);  // 0.995² + 2 · 0.07² < 1
+  return {-bound, bound};
+}
+
 /// Three orthonormal axes, the first along `first`.
 std::array<Vec3, 3> frame(const Vec3& first) {
   const Vec3 second = first.unitOrthogonal();
@@ -135,10 +142,10 @@ void ToolBody::add_rows(const TissueState& tissue, std::span<NeedleBody> needles
     const Vec3 anchor = to_world(anchor_tool_m_);
     const double compliance = 1.0 / description_.grip_stiffness_n_per_m;
     const auto force_axes = frame(force_axis_);
-    const double force_max = description_.grip_force_max_n;
     for (std::size_t axis = 0; axis < 3; ++axis) {
       const Vec3 e = force_axes[axis];
-      const Bounds bounds = slipping_force_ ? Bounds{-force_max, force_max} : Bounds::bilateral();
+      const Bounds bounds =
+          slipping_force_ ? slip_bounds(axis, description_.grip_force_max_n) : Bounds::bilateral();
       if (held_ == Held::kNeedle) {
         const NeedleBody& needle = needles[at(needle_)];
         const Vec3 point = needle.curve().point(needle.pose(), needle_s_);
@@ -162,11 +169,11 @@ void ToolBody::add_rows(const TissueState& tissue, std::span<NeedleBody> needles
       const Vec3 turn = needle::rotation_vector(needle.pose().orientation *
                                                 (input_.orientation * needle_in_tool_).conjugate());
       const auto torque_axes = frame(torque_axis_);
-      const double torque_max = description_.grip_torque_max_nm;
       for (std::size_t axis = 0; axis < 3; ++axis) {
         const Vec3 e = torque_axes[axis];
         constraints::Row& row =
-            rows.add(slipping_torque_ ? Bounds{-torque_max, torque_max} : Bounds::bilateral(),
+            rows.add(slipping_torque_ ? slip_bounds(axis, description_.grip_torque_max_nm)
+                                      : Bounds::bilateral(),
                      e.dot(turn), 1.0 / description_.grip_stiffness_nm_per_rad);
         row.needle = needle_;
         row.needle_jacobian.tail<3>() = e;

@@ -23,8 +23,7 @@ struct ToolInput {
   double jaw = 0.0;  ///< 0 open … 1 closed
 };
 
-/// Unilateral rows that may still switch while a tool moves, all else condensed out
-///:
+/// Unilateral rows that may still switch while a tool moves, all else condensed out:
 ///
 ///     gap(ξ) = S λ − q − Ĵ ξ,   0 ≤ λ ≤ λ_max,   gap ⟂ λ
 ///     w(ξ)   = w_0 − A_0 ξ − Ĵᵀ λ

@@ -85,6 +85,17 @@ TEST(RunCommand, FaultsAreOneClearError) {
   EXPECT_EQ(unwritable.exit_code, 1);
   EXPECT_NE(unwritable.err.find("--out"), std::string::npos);
 
+  const std::string far = folder.path("far.csv");
+  std::ofstream(far)
+      << "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw\n0,driver,1e160,0,0,0,0,0,1,0\n";
+  const auto beyond = run({kScene, "--surgeon", far, "--out", folder.path("out")});
+  EXPECT_EQ(beyond.exit_code, 1);
+  EXPECT_NE(beyond.err.find(far + ":2:10"), std::string::npos) << beyond.err;
+
+  const auto endless = run({kScene, "--surgeon", "/dev/zero", "--out", folder.path("out")});
+  EXPECT_EQ(endless.exit_code, 1);
+  EXPECT_NE(endless.err.find("not a regular file"), std::string::npos) << endless.err;
+
   EXPECT_EQ(run({kScene}).exit_code, 2);
 }
 

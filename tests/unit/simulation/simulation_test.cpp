@@ -209,6 +209,18 @@ TEST_F(BlockSimulation, FrictionAlongTheNeedleIsViscous) {
   EXPECT_NEAR(friction_at(0.005), 1.0, 0.1);
 }
 
+TEST_F(BlockSimulation, WithoutFrictionTheNeedleSlidesWithoutForce) {
+  scene.tissues[0].friction_n_s_per_m2 = 0.0;
+  sim = Simulation(scene);
+  grasp(kDriver, kTail);
+  move(kDriver, kTail - Vec3(0, 0, 0.006));
+  EXPECT_EQ(count(EventKind::kPuncture), 1);
+  EXPECT_EQ(count(EventKind::kExit), 0);
+  EXPECT_GT(sim.needles()[0].embedded_length_m, 0.004);
+  EXPECT_LT(std::abs(wrench(kDriver)[2]), 1e-4);
+  EXPECT_LT(sim.report().complementarity_residual, 1e-8);
+}
+
 /// Beyond the friction cone the tip slides over the surface; within it, it stands.
 TEST_F(BlockSimulation, TheTipStandsWithinTheFrictionConeAndSlidesBeyond) {
   scene.tissues[0].puncture_force_n = 10.0;  // never
