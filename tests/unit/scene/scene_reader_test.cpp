@@ -308,7 +308,7 @@ TEST_F(SceneReader, NamesThePlaceAndTheMendOfEveryFault) {
       {"[[tissue]]\nname = \"flap\"\nmesh = \"a.msh\"\nyoung_modulus_pa = 1\npoisson_ratio = "
        "0\nfixed = [\"foot\"]\n",
        "s.toml:10:8: there are two of [[tissue]] named \"flap\""},
-      {"[[tool]]\nname = \"a b\"\n", "s.toml:10:8: the name \"a b\" cannot be used; use up to 64"},
+      {"[[tool]]\nname = \"a b\"\n", "s.toml:10:8: the name \"a b\" cannot be used; use up to 32"},
       {"[[tool]]\nkind = \"probe\"\n", "s.toml:9:1: [[tool]] has no name; add name"},
       {tool + "kind = \"knife\"\n",
        "s.toml:11:8: kind of [[tool]] \"d\" is \"knife\", which is not known; write \"driver\" or "
