@@ -82,7 +82,8 @@ void ResponseBuilder::build(const constraints::ConstraintRows& rows,
 
   for (int i = 0; i < 6; ++i)
     for (int j = 0; j < 6; ++j)
-      response.bilateral_stiffness(i, j) = dot(&half_[at(i) * at(nb)], &half_[at(j) * at(nb)], nb);
+      response.bilateral_stiffness(i, j) =
+          dot(half_.data() + at(i) * at(nb), half_.data() + at(j) * at(nb), nb);
   for (int a = 0; a < mh; ++a) {
     const int row = solver.bounded()[at(chosen_[at(a)])];
     for (int c = 0; c < 6; ++c)
@@ -108,7 +109,7 @@ void ResponseBuilder::build(const constraints::ConstraintRows& rows,
     const double kappa = dot(slide_half_.data(), slide_half_.data(), nb);
     if (kappa <= 0.0) continue;
     Vec6 a;
-    for (int c = 0; c < 6; ++c) a[c] = dot(&half_[at(c) * at(nb)], slide_half_.data(), nb);
+    for (int c = 0; c < 6; ++c) a[c] = dot(half_.data() + at(c) * at(nb), slide_half_.data(), nb);
     response.bilateral_stiffness -= a * a.transpose() / kappa;
     for (int i = 0; i < mh; ++i) {
       const double ki = slide_condensed_[at(chosen_[at(i)])];
