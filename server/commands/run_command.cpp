@@ -74,6 +74,16 @@ const char* name_of(simulation::EventKind kind) {
       return "limit";
     case EventKind::kSolverResidual:
       return "solver_residual";
+    case EventKind::kContactLost:
+      return "contact_lost";
+    case EventKind::kTaut:
+      return "taut";
+    case EventKind::kSlack:
+      return "slack";
+    case EventKind::kUnthread:
+      return "unthread";
+    case EventKind::kInverted:
+      return "inverted";
   }
   return "unknown";
 }

@@ -64,7 +64,16 @@ suture_v1_EventKind wire_kind(simulation::EventKind kind) noexcept {
     case simulation::EventKind::kLimit:
       return suture_v1_EVENT_LIMIT;
     case simulation::EventKind::kSolverResidual:
+    case simulation::EventKind::kInverted:
       return suture_v1_EVENT_SOLVER;
+    case simulation::EventKind::kContactLost:
+      return suture_v1_EVENT_CONTACT_LOST;
+    case simulation::EventKind::kTaut:
+      return suture_v1_EVENT_TAUT;
+    case simulation::EventKind::kSlack:
+      return suture_v1_EVENT_SLACK;
+    case simulation::EventKind::kUnthread:
+      return suture_v1_EVENT_UNTHREAD;
   }
   return suture_v1_EVENT_NOTICE;
 }

@@ -47,6 +47,7 @@ struct Simulation::State {
     moving.resize(tools.size());
     responses.resize(tools.size());
     needle_states.resize(needles.size());
+    thread_states.resize(scene.threads.size());
     mobilities.resize(needles.size());
     rows.reserve(512, 2048);
     events.reserve(64);
@@ -61,6 +62,8 @@ struct Simulation::State {
   std::vector<ToolInput> inputs, moving;
   std::vector<ToolResponse> responses;
   std::vector<simulation::NeedleState> needle_states;
+  std::vector<simulation::ThreadState> thread_states;
+  std::vector<ContactPoint> contact_points;
   std::vector<Event> events, pending_events;
   StepReport report;
   double time_s = 0.0;
@@ -266,6 +269,8 @@ void Simulation::reset() { state_->reset(); }
 double Simulation::time_s() const { return state_->time_s; }
 std::span<const ToolResponse> Simulation::responses() const { return state_->responses; }
 std::span<const NeedleState> Simulation::needles() const { return state_->needle_states; }
+std::span<const ThreadState> Simulation::threads() const { return state_->thread_states; }
+std::span<const ContactPoint> Simulation::contacts() const { return state_->contact_points; }
 std::span<const Event> Simulation::events() const { return state_->events; }
 const StepReport& Simulation::report() const { return state_->report; }
 std::span<const Body> Simulation::bodies() const { return state_->tissue.bodies(); }

@@ -47,7 +47,9 @@ class Simulation {
   [[nodiscard]] double time_s() const;
   [[nodiscard]] std::span<const ToolResponse> responses() const;  ///< one per tool
   [[nodiscard]] std::span<const NeedleState> needles() const;
-  [[nodiscard]] std::span<const Event> events() const;  ///< of the last step
+  [[nodiscard]] std::span<const ThreadState> threads() const;    ///< one per scene thread
+  [[nodiscard]] std::span<const ContactPoint> contacts() const;  ///< pairs that carry force
+  [[nodiscard]] std::span<const Event> events() const;           ///< of the last step
   [[nodiscard]] const StepReport& report() const;
   [[nodiscard]] std::span<const Body> bodies() const;
   /// Present positions of all vertices, bodies one after the other (m, world).

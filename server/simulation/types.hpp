@@ -75,8 +75,13 @@ enum class EventKind : std::uint8_t {
   kPuncture,
   kExit,
   kGripSlip,
-  kLimit,
-  kSolverResidual
+  kLimit,           ///< a length or a force was clamped
+  kSolverResidual,  ///< the multipliers miss their conditions
+  kContactLost,
+  kTaut,
+  kSlack,
+  kUnthread,  ///< an end of a thread passed a puncture: that bite is gone
+  kInverted   ///< a tet was turned inside out; `force_n` counts them
 };
 
 /// Something that happened in a step.
@@ -100,6 +105,45 @@ struct NeedleState {
   bool tip_inside = false;
 };
 
+/// What rules an end of a thread.
+enum class ThreadEnd : std::uint8_t { kFree, kSwaged, kHeld, kAnchored };
+
+/// Where a thread passes a tissue's surface.
+struct ThreadPuncture {
+  int tissue = -1;  ///< index into Scene::tissues
+  Vec3 position_m = Vec3::Zero();
+  Vec3 rest_position_m = Vec3::Zero();
+  double arc_length_m = 0.0;  ///< along the thread from its head
+  bool inward = false;        ///< enters the tissue, going from head to tail
+};
+
+/// A thread as viewers see it: from its head (where the needle is, or was) to its tail.
+struct ThreadState {
+  double length_m = 0.0;   ///< of the whole thread
+  double tension_n = 0.0;  ///< largest along it
+  double slack_m = 0.0;    ///< length to spare between what holds it; 0: taut
+  bool taut = false;
+  /// Largest amount by which a span between two holds is longer than its thread (0 once settled).
+  double overlength_m = 0.0;
+  ThreadEnd head = ThreadEnd::kFree, tail = ThreadEnd::kFree;
+  int head_holder = -1, tail_holder = -1;  ///< tool (kHeld), needle (kSwaged) or tissue (kAnchored)
+  std::vector<Vec3> course_m;              ///< what to draw; the free part straight, or sagging
+  std::vector<double> arc_length_m;        ///< per point of the course
+  std::vector<double> segment_tension_n;   ///< per pair of neighbours
+  std::vector<ThreadPuncture> punctures;
+};
+
+/// A pair in contact: of two surfaces, or of a needle's shaft and a surface.
+struct ContactPoint {
+  Vec3 position_m = Vec3::Zero();
+  Vec3 normal = Vec3::UnitZ();  ///< out of `tissue`
+  double force_n = 0.0;
+  double gap_m = 0.0;
+  int tissue = -1;
+  int other_tissue = -1;  ///< −1 where the other side is a needle
+  int needle = -1;
+};
+
 /// One line of steps.csv, and where the time went.
 struct StepReport {
   std::uint64_t step = 0;
@@ -109,7 +153,8 @@ struct StepReport {
   int active_unilateral_rows = 0;
   int contacts = 0;
   double complementarity_residual = 0.0;  ///< dimensionless: see SolveReport::residual
-  std::int64_t track_ns = 0, assemble_ns = 0, solve_ns = 0, backward_ns = 0, model_ns = 0;
+  int contact_pairs = 0;  ///< in reach, of which `contacts` carry force
+  std::int64_t track_ns = 0, contact_ns = 0, assemble_ns = 0, solve_ns = 0, backward_ns = 0, model_ns = 0;
 };
 
 }  // namespace sutured::simulation
