@@ -189,7 +189,10 @@ class Progress {
 int run(const RunOptions& options) {
   const scene::Scene scene = scene::read_scene(options.scene);
   for (const auto& note : scene.notes) std::cerr << "note: " << note << '\n';
-  const suture::Surgeon surgeon = suture::read_surgeon(options.surgeon);
+  const suture::Surgeon surgeon =
+      options.surgeon.empty() ? suture::Surgeon() : suture::read_surgeon(options.surgeon);
+  if (options.surgeon.empty() && options.duration_s <= 0.0)
+    throw std::runtime_error("without a surgeon nothing says how long to run; give --duration");
   for (const auto& track : surgeon.tracks)
     if (std::none_of(scene.tools.begin(), scene.tools.end(),
                      [&](const auto& tool) { return tool.name == track.tool; }))
@@ -209,10 +212,11 @@ int run(const RunOptions& options) {
       static_cast<std::uint64_t>(std::llround(std::ceil(duration_s * rate_hz - 1e-9)));
 
   OutputFile step_file(options.out, "steps.csv"), timing(options.out, "timing.csv"),
-      tool_file(options.out, "tools.csv"), event_file(options.out, "events.jsonl");
+      tool_file(options.out, "tools.csv"), thread_file(options.out, "threads.csv"), event_file(options.out, "events.jsonl");
   step_file << "time_s,rows,active_unilateral_rows,contacts,complementarity_residual\n";
-  timing << "time_s,substeps,track_ns,assemble_ns,solve_ns,model_ns,backward_ns\n";
+  timing << "time_s,substeps,track_ns,contact_ns,assemble_ns,solve_ns,model_ns,backward_ns\n";
   tool_file << "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw,fx_n,fy_n,fz_n,tx_nm,ty_nm,tz_nm\n";
+  thread_file << "time_s,thread,tension_n,slack_m,punctures\n";
   std::vector<const suture::SurgeonTrack*> tracks;
   for (const auto& tool : scene.tools) tracks.push_back(surgeon.track(tool.name));
   std::vector<simulation::ToolInput> inputs(scene.tools.size());
@@ -243,7 +247,7 @@ int run(const RunOptions& options) {
     step_file << report.time_s << ',' << report.rows << ',' << report.active_unilateral_rows << ','
               << report.contacts << ',' << report.complementarity_residual << '\n';
     timing << report.time_s << ',' << report.substeps << ',' << report.track_ns << ','
-           << report.assemble_ns << ',' << report.solve_ns << ',' << report.model_ns << ','
+           << report.contact_ns << ',' << report.assemble_ns << ',' << report.solve_ns << ',' << report.model_ns << ','
            << report.backward_ns << '\n';
     for (std::size_t i = 0; i < inputs.size(); ++i) {
       if (!inputs[i].present) continue;
@@ -260,6 +264,11 @@ int run(const RunOptions& options) {
                 << inputs[i].jaw << ',' << w[0] << ',' << w[1] << ',' << w[2] << ',' << w[3] << ','
                 << w[4] << ',' << w[5] << '\n';
     }
+    for (std::size_t i = 0; i < scene.threads.size(); ++i) {
+      const auto& thread = sim.threads()[i];
+      thread_file << report.time_s << ',' << scene.threads[i].name << ',' << thread.tension_n << ','
+                  << thread.slack_m << ',' << thread.punctures.size() << '\n';
+    }
     take_events();
     progress.at(step);
   }
@@ -268,7 +277,7 @@ int run(const RunOptions& options) {
   OutputFile summary(options.out, "summary.json");
   summary << summarise(scene, sim, events, peak_force_n, residual_max, steps, rate_hz).dump(2)
           << "\n";
-  for (OutputFile* file : {&step_file, &timing, &tool_file, &event_file, &summary}) file->close();
+  for (OutputFile* file : {&step_file, &timing, &tool_file, &thread_file, &event_file, &summary}) file->close();
   return 0;
 }
 
@@ -279,8 +288,8 @@ void add_run_command(CLI::App& app, int& exit_code) {
   CLI::App* command =
       app.add_subcommand("run", "Play a surgeon file through a scene, without clock or network");
   command->add_option("scene", options->scene, "Scene file (TOML)")->required();
-  command->add_option("--surgeon", options->surgeon, "Surgeon file (CSV): time_s,tool,px_m,…,jaw")
-      ->required();
+  command->add_option("--surgeon", options->surgeon,
+                      "Surgeon file (CSV): time_s,tool,px_m,…,jaw; none: nobody touches the scene");
   command->add_option("--out", options->out, "Folder for the results")->required();
   command->add_option("--rate", options->rate_hz, "Steps per second; the scene's by default")
       ->check(CLI::Range(1.0, 10000.0));
@@ -292,7 +301,7 @@ void add_run_command(CLI::App& app, int& exit_code) {
   command->footer(
       "Example: sutured run server/scenes/anastomosis/scene.toml \\\n"
       "           --surgeon server/scenes/anastomosis/surgeon.csv --out out/run\n"
-      "Writes steps.csv, timing.csv, tools.csv, events.jsonl, final.vtk and summary.json. Twice "
+      "Writes steps.csv, timing.csv, tools.csv, threads.csv, events.jsonl, final.vtk and summary.json. Twice "
       "the same run\n"
       "gives the same bytes but for timing.csv. Exit code: 0 done, 1 faulty input or output, 2 "
       "wrong usage.");

@@ -94,6 +94,8 @@ class NeedleBody {
   [[nodiscard]] Vec6 jacobian(const Vec3& point_m, const Vec3& direction) const;
   /// Gradient of the least-squares slide with respect to a twist about `origin_m`: σ = gᵀ ξ.
   [[nodiscard]] Vec6 least_squares_gradient(const Vec3& origin_m) const;
+  /// Forgets the oldest bite, which its thread has left. Precondition: the needle has left it.
+  void forget_first_bite() { path_.drop_first_bite(); }
   void set_holder(int tool) { holder_ = tool; }
   [[nodiscard]] int holder() const { return holder_; }
 

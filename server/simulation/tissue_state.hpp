@@ -50,6 +50,7 @@ class TissueState {
   [[nodiscard]] int tissue_of_triangle(std::int32_t triangle) const {
     return tissue_of_tet(surface_.tet[static_cast<std::size_t>(triangle)]);
   }
+  [[nodiscard]] const geometry::BoundarySurface& surface() const { return surface_; }
   [[nodiscard]] double young_modulus_pa(std::int32_t tet) const {
     return model_
         .materials[static_cast<std::size_t>(model_.material_of_tet[static_cast<std::size_t>(tet)])]

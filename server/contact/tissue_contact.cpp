@@ -1,0 +1,320 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "contact/tissue_contact.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace sutured::contact {
+namespace {
+
+// A pair is taken in while its gap is below this and what two steps at the present speed close.
+constexpr double kReach_m = 1e-4;
+constexpr double kReachMax_m = 1e-3;
+// Deeper than this a vertex is taken to be on another side of the body.
+constexpr double kDepthMax_m = 8e-4;
+constexpr double kMargin_m = 3e-4;
+constexpr double kChoose_m = 2e-6;
+// Features face each other beyond this angle.
+constexpr double kFacingCosine = -0.3;
+// How far outside its feature a nearest point may lie, as a share: new pairs, and those that
+// carried force.
+constexpr double kOutside = 0.005, kOutsideCarried = 0.05;
+// Slope by which a surface may rise above the plane of an edge pair.
+constexpr double kRise = 0.05, kRiseCarried = 0.15;
+constexpr double kSineMin = 0.05;
+// Row compliance times modulus: 2e-5 m/N at 200 kPa.
+constexpr double kComplianceTimesModulus = 2e-5 * 2e5;
+constexpr double kRestBehind_m = 1e-6;
+
+std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
+
+bool shares_vertex(const geometry::Triangle& t, std::int32_t v) {
+  return t[0] == v || t[1] == v || t[2] == v;
+}
+
+}  // namespace
+
+TissueContact::TissueContact(const geometry::BoundarySurface& surface,
+                             std::span<const Vec3> rest_m, std::vector<int> tissue_of_triangle,
+                             std::vector<double> young_modulus_pa)
+    : surface_(&surface),
+      features_(surface.triangles, rest_m.size()),
+      rest_m_(rest_m.begin(), rest_m.end()),
+      tissue_of_triangle_(std::move(tissue_of_triangle)),
+      young_modulus_pa_(std::move(young_modulus_pa)),
+      normals_(surface.triangles.size()),
+      near_vertex_(features_.vertices().size()),
+      near_edge_(features_.edges().size()),
+      vertex_due_(features_.vertices().size()),
+      edge_due_(features_.edges().size()) {
+  for (const SurfaceEdge& edge : features_.edges())
+    edge_length_m_ += (rest_m_[at(edge.vertices[0])] - rest_m_[at(edge.vertices[1])]).norm();
+  edge_length_m_ /= static_cast<double>(std::max<std::size_t>(1, features_.edges().size()));
+  reset();
+}
+
+void TissueContact::reset() {
+  std::fill(vertex_due_.begin(), vertex_due_.end(), -1.0);
+  std::fill(edge_due_.begin(), edge_due_.end(), -1.0);
+  for (auto& list : near_vertex_) list.clear();
+  for (auto& list : near_edge_) list.clear();
+  close_vertices_.clear();
+  close_edges_.clear();
+  pairs_.clear();
+  carried_.clear();
+  last_m_.clear();
+  motion_m_ = speed_m_ = 0.0;
+  chosen_at_m_ = -1.0;
+}
+
+bool TissueContact::carried(std::uint64_t key) const {
+  return std::binary_search(carried_.begin(), carried_.end(), key);
+}
+
+/// Whether the vertex lies behind the triangle at rest already, on the other side of the wall.
+bool TissueContact::through_solid(std::int32_t vertex, std::int32_t triangle) const {
+  const auto& t = surface_->triangles[at(triangle)];
+  const auto there = vertex_face(rest_m_[at(vertex)], rest_m_[at(t[0])], rest_m_[at(t[1])],
+                                 rest_m_[at(t[2])]);
+  return !there.valid || there.gap_m < -kRestBehind_m;
+}
+
+Vec3 TissueContact::edge_normal(const SurfaceEdge& edge) const {
+  Vec3 sum = normals_[at(edge.triangles[0])];
+  if (edge.triangles[1] >= 0) sum += normals_[at(edge.triangles[1])];
+  return sum;
+}
+
+int TissueContact::tissue_of(const Pair& pair, bool second) const {
+  if (pair.kind == PairKind::kEdgeEdge)
+    return tissue_of_triangle_[at(
+        features_.edges()[at(second ? pair.second : pair.first)].triangles[0])];
+  return tissue_of_triangle_[at(second ? pair.second : features_.triangles_at(pair.first)[0])];
+}
+
+void TissueContact::search(std::span<const Vec3> positions_m,
+                           const geometry::TriangleTree& tree) {
+  const double kept = kReachMax_m + kMargin_m, radius = kept + edge_length_m_;
+  const auto vertices = features_.vertices();
+  const auto& triangles = surface_->triangles;
+  const auto facing = [&](std::int32_t a, std::int32_t b) {
+    return normals_[at(a)].dot(normals_[at(b)]) < kFacingCosine;
+  };
+  bool changed = false;
+  for (std::size_t i = 0; i < vertices.size(); ++i) {
+    if (vertex_due_[i] > motion_m_) continue;
+    ++searches_;
+    changed = true;
+    const std::int32_t v = vertices[i];
+    const Vec3& x = positions_m[at(v)];
+    double nearest = radius;
+    near_vertex_[i].clear();
+    const Vec3 half = Vec3::Constant(radius);
+    tree.for_each_overlap({x - half, x + half}, [&](std::int32_t t) {
+      if (shares_vertex(triangles[at(t)], v)) return;
+      const auto own = features_.triangles_at(v);
+      if (std::none_of(own.begin(), own.end(), [&](auto mine) { return facing(mine, t); })) return;
+      const bool self = tissue_of_triangle_[at(own[0])] == tissue_of_triangle_[at(t)];
+      if (self && through_solid(v, t)) return;
+      const auto closest = geometry::closest_point_on_triangle(
+          x, positions_m[at(triangles[at(t)][0])], positions_m[at(triangles[at(t)][1])],
+          positions_m[at(triangles[at(t)][2])]);
+      const double distance = std::sqrt(closest.squared_distance_m2);
+      if (distance <= kept) near_vertex_[i].push_back(t);
+      nearest = std::min(nearest, distance);
+    });
+    // What is kept holds for half the margin; where nothing is near, for longer.
+    vertex_due_[i] = motion_m_ + 0.5 * (near_vertex_[i].empty() ? nearest - kReachMax_m : kMargin_m);
+    std::sort(near_vertex_[i].begin(), near_vertex_[i].end());
+  }
+  const auto edges = features_.edges();
+  for (std::size_t i = 0; i < edges.size(); ++i) {
+    if (edge_due_[i] > motion_m_) continue;
+    ++searches_;
+    changed = true;
+    const SurfaceEdge& edge = edges[i];
+    const Vec3 &a = positions_m[at(edge.vertices[0])], &b = positions_m[at(edge.vertices[1])];
+    double nearest = radius;
+    near_edge_[i].clear();
+    const Vec3 half = Vec3::Constant(radius);
+    tree.for_each_overlap(
+        {a.cwiseMin(b) - half, a.cwiseMax(b) + half}, [&](std::int32_t t) {
+          if (!facing(edge.triangles[0], t) &&
+              !(edge.triangles[1] >= 0 && facing(edge.triangles[1], t)))
+            return;
+          const bool self =
+              tissue_of_triangle_[at(edge.triangles[0])] == tissue_of_triangle_[at(t)];
+          for (const auto f : features_.edges_of(t)) {
+            if (f <= static_cast<std::int32_t>(i)) continue;  // each pair once
+            const SurfaceEdge& other = edges[at(f)];
+            if (shares_vertex({other.vertices[0], other.vertices[1], -1}, edge.vertices[0]) ||
+                shares_vertex({other.vertices[0], other.vertices[1], -1}, edge.vertices[1]))
+              continue;
+            if (self && through_solid(edge.vertices[0], t)) continue;
+            // A lower bound of the distance suffices here.
+            const Vec3 &c = positions_m[at(other.vertices[0])],
+                       &d = positions_m[at(other.vertices[1])];
+            const double distance =
+                geometry::Box(a.cwiseMin(b), a.cwiseMax(b))
+                    .exteriorDistance(geometry::Box(c.cwiseMin(d), c.cwiseMax(d)));
+            if (distance <= kept) near_edge_[i].push_back(f);
+            nearest = std::min(nearest, distance);
+          }
+        });
+    edge_due_[i] = motion_m_ + 0.5 * (near_edge_[i].empty() ? nearest - kReachMax_m : kMargin_m);
+    std::sort(near_edge_[i].begin(), near_edge_[i].end());
+    near_edge_[i].erase(std::unique(near_edge_[i].begin(), near_edge_[i].end()),
+                        near_edge_[i].end());
+  }
+  if (!changed) return;
+  close_vertices_.clear();
+  close_edges_.clear();
+  for (std::size_t i = 0; i < near_vertex_.size(); ++i)
+    if (!near_vertex_[i].empty()) close_vertices_.push_back(i);
+  for (std::size_t i = 0; i < near_edge_.size(); ++i)
+    if (!near_edge_[i].empty()) close_edges_.push_back(i);
+}
+
+void TissueContact::choose_vertex(std::int32_t vertex, std::span<const std::int32_t> triangles,
+                                  std::span<const Vec3> positions_m) {
+  const std::size_t first = pairs_.size();
+  double shallowest = -kDepthMax_m;
+  const double reach = std::min(kReachMax_m, kReach_m + 2.0 * speed_m_);
+  for (const std::int32_t t : triangles) {
+    const auto own = features_.triangles_at(vertex);
+    const Vec3& n = normals_[at(t)];
+    if (std::none_of(own.begin(), own.end(),
+                     [&](auto mine) { return normals_[at(mine)].dot(n) < kFacingCosine; }))
+      continue;
+    Pair pair;
+    pair.kind = PairKind::kVertexFace;
+    pair.first = vertex;
+    pair.second = t;
+    const auto& corners = surface_->triangles[at(t)];
+    pair.vertices = {vertex, corners[0], corners[1], corners[2]};
+    renew(pair, positions_m);
+    const Proximity& p = pair.proximity;
+    if (!p.valid || p.gap_m > reach || p.gap_m < -kDepthMax_m) continue;
+    if (p.margin < -(carried(pair.key()) ? kOutsideCarried : kOutside)) continue;
+    if (p.gap_m < 0.0) shallowest = std::max(shallowest, p.gap_m);
+    pairs_.push_back(pair);
+  }
+  // Behind several faces, the vertex has come in through the nearest.
+  const auto deeper = [&](const Pair& pair) { return pair.proximity.gap_m < shallowest; };
+  pairs_.erase(std::remove_if(pairs_.begin() + static_cast<std::ptrdiff_t>(first), pairs_.end(),
+                              deeper),
+               pairs_.end());
+}
+
+void TissueContact::choose_edge(std::int32_t index, std::span<const std::int32_t> others,
+                                std::span<const Vec3> positions_m) {
+  const auto edges = features_.edges();
+  const SurfaceEdge& edge = edges[at(index)];
+  const double reach = std::min(kReachMax_m, kReach_m + 2.0 * speed_m_);
+  for (const std::int32_t f : others) {
+    const SurfaceEdge& other = edges[at(f)];
+    Pair pair;
+    pair.kind = PairKind::kEdgeEdge;
+    pair.first = index;
+    pair.second = f;
+    pair.vertices = {edge.vertices[0], edge.vertices[1], other.vertices[0], other.vertices[1]};
+    renew(pair, positions_m);
+    const Proximity& p = pair.proximity;
+    if (!p.valid || p.gap_m > reach || p.gap_m < -kDepthMax_m) continue;
+    const bool before = carried(pair.key());
+    if (p.margin < -(before ? kOutsideCarried : kOutside)) continue;
+    // Around each crossing its own surface stays behind the plane across the normal.
+    const double rise = before ? kRiseCarried : kRise;
+    const auto behind = [&](const SurfaceEdge& e, const Vec3& n, double sign) {
+      const Vec3& origin = positions_m[at(e.vertices[0])];
+      const Vec3 along = (positions_m[at(e.vertices[1])] - origin).normalized();
+      for (std::size_t k = 0; k < 2; ++k) {
+        if (e.opposite[k] < 0) continue;
+        Vec3 out = positions_m[at(e.opposite[k])] - origin;
+        out -= along * along.dot(out);
+        if (sign * n.dot(out) > rise * out.norm()) return false;
+      }
+      return true;
+    };
+    if (!behind(edge, p.normal, 1.0) || !behind(other, p.normal, -1.0)) continue;
+    pairs_.push_back(pair);
+  }
+}
+
+void TissueContact::renew(Pair& pair, std::span<const Vec3> x) const {
+  const auto& v = pair.vertices;
+  if (pair.kind == PairKind::kVertexFace) {
+    pair.proximity = vertex_face(x[at(v[0])], x[at(v[1])], x[at(v[2])], x[at(v[3])]);
+    return;
+  }
+  const Vec3 outward = edge_normal(features_.edges()[at(pair.first)]) -
+                       edge_normal(features_.edges()[at(pair.second)]);
+  pair.proximity =
+      edge_edge(x[at(v[0])], x[at(v[1])], x[at(v[2])], x[at(v[3])], outward, kSineMin);
+}
+
+void TissueContact::choose(std::span<const Vec3> positions_m) {
+  carried_.clear();
+  for (const Pair& pair : pairs_)
+    if (pair.force_n > 0.0) carried_.push_back(pair.key());
+  std::sort(carried_.begin(), carried_.end());
+  pairs_.clear();
+  for (const std::size_t i : close_vertices_)
+    choose_vertex(features_.vertices()[i], near_vertex_[i], positions_m);
+  for (const std::size_t i : close_edges_)
+    choose_edge(static_cast<std::int32_t>(i), near_edge_[i], positions_m);
+  chosen_at_m_ = motion_m_;
+}
+
+void TissueContact::update(std::span<const Vec3> positions_m,
+                           const geometry::TriangleTree& tree) {
+  const auto vertices = features_.vertices();
+  if (last_m_.empty()) {
+    for (const auto v : vertices) last_m_.push_back(positions_m[at(v)]);
+  } else {
+    double squared = 0.0;
+    for (std::size_t i = 0; i < vertices.size(); ++i) {
+      squared = std::max(squared, (positions_m[at(vertices[i])] - last_m_[i]).squaredNorm());
+      last_m_[i] = positions_m[at(vertices[i])];
+    }
+    speed_m_ = std::sqrt(squared);
+    motion_m_ += speed_m_;
+  }
+  const auto& triangles = surface_->triangles;
+  for (std::size_t t = 0; t < triangles.size(); ++t) {
+    const Vec3 &a = positions_m[at(triangles[t][0])], &b = positions_m[at(triangles[t][1])],
+               &c = positions_m[at(triangles[t][2])];
+    normals_[t] = (b - a).cross(c - a).normalized();
+  }
+  search(positions_m, tree);
+  if (chosen_at_m_ < 0.0 || motion_m_ - chosen_at_m_ > kChoose_m) {
+    choose(positions_m);
+  } else {
+    for (Pair& pair : pairs_) renew(pair, positions_m);
+  }
+}
+
+void TissueContact::add_rows(constraints::ConstraintRows& rows) {
+  first_row_ = rows.size();
+  for (const Pair& pair : pairs_) {
+    const bool edges = pair.kind == PairKind::kEdgeEdge;
+    const auto modulus = [&](std::int32_t triangle) { return young_modulus_pa_[at(triangle)]; };
+    const double softer =
+        edges ? std::min(modulus(features_.edges()[at(pair.first)].triangles[0]),
+                         modulus(features_.edges()[at(pair.second)].triangles[0]))
+              : std::min(modulus(features_.triangles_at(pair.first)[0]), modulus(pair.second));
+    constraints::Row& row = rows.add(constraints::Bounds::unilateral(), kThickness_m,
+                                     kComplianceTimesModulus / softer);
+    row.key = pair.key();
+    for (std::size_t i = 0; i < 4; ++i)
+      rows.touch(pair.vertices[i], pair.proximity.coefficient[i] * pair.proximity.normal);
+  }
+}
+
+void TissueContact::read(std::span<const double> lambda) {
+  for (std::size_t i = 0; i < pairs_.size(); ++i)
+    pairs_[i].force_n = lambda[at(first_row_) + i];
+}
+
+}  // namespace sutured::contact
