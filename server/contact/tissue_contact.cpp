@@ -8,11 +8,13 @@
 namespace sutured::contact {
 namespace {
 
-// A pair is taken in while its gap is below this and what two steps at the present speed close.
-constexpr double kReach_m = 1e-4;
-constexpr double kReachMax_m = 1e-3;
+// A pair is taken in while its gap is below this and what three steps at the present speed close.
+constexpr double kReach_m = 4e-5;
+constexpr double kReachMax_m = 4e-4;
 // Deeper than this a vertex is taken to be on another side of the body.
 constexpr double kDepthMax_m = 8e-4;
+// A pair that is new is no deeper than this and what two steps at the present speed press in.
+constexpr double kNewDepth_m = 5e-5;
 constexpr double kMargin_m = 3e-4;
 constexpr double kChoose_m = 2e-6;
 // Features face each other beyond this angle.
@@ -25,6 +27,8 @@ constexpr double kRise = 0.05, kRiseCarried = 0.15;
 constexpr double kSineMin = 0.05;
 // Row compliance times modulus: 2e-5 m/N at 200 kPa.
 constexpr double kComplianceTimesModulus = 2e-5 * 2e5;
+// Above this share of E h² a pair's force is large enough to make its step overshoot.
+constexpr double kResistedForce = 0.05;
 constexpr double kRestBehind_m = 1e-6;
 
 std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
@@ -62,14 +66,28 @@ void TissueContact::reset() {
   close_vertices_.clear();
   close_edges_.clear();
   pairs_.clear();
-  carried_.clear();
+  known_.clear();
   last_m_.clear();
   motion_m_ = speed_m_ = 0.0;
   chosen_at_m_ = -1.0;
 }
 
-bool TissueContact::carried(std::uint64_t key) const {
-  return std::binary_search(carried_.begin(), carried_.end(), key);
+const Pair* TissueContact::known(std::uint64_t key) const {
+  const auto found =
+      std::lower_bound(known_.begin(), known_.end(), key,
+                       [](const Pair& pair, std::uint64_t k) { return pair.key() < k; });
+  return found != known_.end() && found->key() == key ? &*found : nullptr;
+}
+
+/// Whether a pair that is near may be taken in: only one that was known may be deep.
+bool TissueContact::admit(Pair& pair) const {
+  const Proximity& p = pair.proximity;
+  const double reach_m = std::min(kReachMax_m, kReach_m + 3.0 * speed_m_);
+  if (!p.valid || p.gap_m > reach_m || p.gap_m < -kDepthMax_m) return false;
+  const Pair* const before = known(pair.key());
+  if (before == nullptr && p.gap_m < -(kNewDepth_m + 2.0 * speed_m_)) return false;
+  if (before != nullptr) pair.force_n = before->force_n;
+  return p.margin >= -(pair.force_n > 0.0 ? kOutsideCarried : kOutside);
 }
 
 /// Whether the vertex lies behind the triangle at rest already, on the other side of the wall.
@@ -86,16 +104,23 @@ Vec3 TissueContact::edge_normal(const SurfaceEdge& edge) const {
   return sum;
 }
 
+std::int32_t TissueContact::triangle_of(const Pair& pair, bool second) const {
+  const std::int32_t feature = second ? pair.second : pair.first;
+  if (pair.kind == PairKind::kEdgeEdge) return features_.edges()[at(feature)].triangles[0];
+  return second ? feature : features_.triangles_at(feature)[0];
+}
+
 int TissueContact::tissue_of(const Pair& pair, bool second) const {
-  if (pair.kind == PairKind::kEdgeEdge)
-    return tissue_of_triangle_[at(
-        features_.edges()[at(second ? pair.second : pair.first)].triangles[0])];
-  return tissue_of_triangle_[at(second ? pair.second : features_.triangles_at(pair.first)[0])];
+  return tissue_of_triangle_[at(triangle_of(pair, second))];
 }
 
 void TissueContact::search(std::span<const Vec3> positions_m,
                            const geometry::TriangleTree& tree) {
-  const double kept = kReachMax_m + kMargin_m, radius = kept + edge_length_m_;
+  const double kept = kReachMax_m + kMargin_m, radius = kept + 0.25 * edge_length_m_;
+  // Not all look again at once.
+  const auto spread = [](std::size_t i) {
+    return 0.5 + 0.5 * static_cast<double>((i * 2654435761U) % 1024U) / 1024.0;
+  };
   const auto vertices = features_.vertices();
   const auto& triangles = surface_->triangles;
   const auto facing = [&](std::int32_t a, std::int32_t b) {
@@ -125,7 +150,8 @@ void TissueContact::search(std::span<const Vec3> positions_m,
       nearest = std::min(nearest, distance);
     });
     // What is kept holds for half the margin; where nothing is near, for longer.
-    vertex_due_[i] = motion_m_ + 0.5 * (near_vertex_[i].empty() ? nearest - kReachMax_m : kMargin_m);
+    const double clear = near_vertex_[i].empty() ? nearest - kReachMax_m : kMargin_m;
+    vertex_due_[i] = motion_m_ + 0.5 * spread(i) * clear;
     std::sort(near_vertex_[i].begin(), near_vertex_[i].end());
   }
   const auto edges = features_.edges();
@@ -145,13 +171,13 @@ void TissueContact::search(std::span<const Vec3> positions_m,
             return;
           const bool self =
               tissue_of_triangle_[at(edge.triangles[0])] == tissue_of_triangle_[at(t)];
+          if (self && through_solid(edge.vertices[0], t)) return;
           for (const auto f : features_.edges_of(t)) {
             if (f <= static_cast<std::int32_t>(i)) continue;  // each pair once
             const SurfaceEdge& other = edges[at(f)];
             if (shares_vertex({other.vertices[0], other.vertices[1], -1}, edge.vertices[0]) ||
                 shares_vertex({other.vertices[0], other.vertices[1], -1}, edge.vertices[1]))
               continue;
-            if (self && through_solid(edge.vertices[0], t)) continue;
             // A lower bound of the distance suffices here.
             const Vec3 &c = positions_m[at(other.vertices[0])],
                        &d = positions_m[at(other.vertices[1])];
@@ -162,7 +188,8 @@ void TissueContact::search(std::span<const Vec3> positions_m,
             nearest = std::min(nearest, distance);
           }
         });
-    edge_due_[i] = motion_m_ + 0.5 * (near_edge_[i].empty() ? nearest - kReachMax_m : kMargin_m);
+    const double clear = near_edge_[i].empty() ? nearest - kReachMax_m : kMargin_m;
+    edge_due_[i] = motion_m_ + 0.5 * spread(i) * clear;
     std::sort(near_edge_[i].begin(), near_edge_[i].end());
     near_edge_[i].erase(std::unique(near_edge_[i].begin(), near_edge_[i].end()),
                         near_edge_[i].end());
@@ -180,7 +207,6 @@ void TissueContact::choose_vertex(std::int32_t vertex, std::span<const std::int3
                                   std::span<const Vec3> positions_m) {
   const std::size_t first = pairs_.size();
   double shallowest = -kDepthMax_m;
-  const double reach = std::min(kReachMax_m, kReach_m + 2.0 * speed_m_);
   for (const std::int32_t t : triangles) {
     const auto own = features_.triangles_at(vertex);
     const Vec3& n = normals_[at(t)];
@@ -194,10 +220,8 @@ void TissueContact::choose_vertex(std::int32_t vertex, std::span<const std::int3
     const auto& corners = surface_->triangles[at(t)];
     pair.vertices = {vertex, corners[0], corners[1], corners[2]};
     renew(pair, positions_m);
-    const Proximity& p = pair.proximity;
-    if (!p.valid || p.gap_m > reach || p.gap_m < -kDepthMax_m) continue;
-    if (p.margin < -(carried(pair.key()) ? kOutsideCarried : kOutside)) continue;
-    if (p.gap_m < 0.0) shallowest = std::max(shallowest, p.gap_m);
+    if (!admit(pair)) continue;
+    if (pair.proximity.gap_m < 0.0) shallowest = std::max(shallowest, pair.proximity.gap_m);
     pairs_.push_back(pair);
   }
   // Behind several faces, the vertex has come in through the nearest.
@@ -211,7 +235,6 @@ void TissueContact::choose_edge(std::int32_t index, std::span<const std::int32_t
                                 std::span<const Vec3> positions_m) {
   const auto edges = features_.edges();
   const SurfaceEdge& edge = edges[at(index)];
-  const double reach = std::min(kReachMax_m, kReach_m + 2.0 * speed_m_);
   for (const std::int32_t f : others) {
     const SurfaceEdge& other = edges[at(f)];
     Pair pair;
@@ -220,24 +243,22 @@ void TissueContact::choose_edge(std::int32_t index, std::span<const std::int32_t
     pair.second = f;
     pair.vertices = {edge.vertices[0], edge.vertices[1], other.vertices[0], other.vertices[1]};
     renew(pair, positions_m);
-    const Proximity& p = pair.proximity;
-    if (!p.valid || p.gap_m > reach || p.gap_m < -kDepthMax_m) continue;
-    const bool before = carried(pair.key());
-    if (p.margin < -(before ? kOutsideCarried : kOutside)) continue;
+    if (!admit(pair)) continue;
     // Around each crossing its own surface stays behind the plane across the normal.
-    const double rise = before ? kRiseCarried : kRise;
-    const auto behind = [&](const SurfaceEdge& e, const Vec3& n, double sign) {
+    const double rise = pair.force_n > 0.0 ? kRiseCarried : kRise;
+    const auto behind = [&](const SurfaceEdge& e, const Vec3& normal, double sign) {
       const Vec3& origin = positions_m[at(e.vertices[0])];
       const Vec3 along = (positions_m[at(e.vertices[1])] - origin).normalized();
       for (std::size_t k = 0; k < 2; ++k) {
         if (e.opposite[k] < 0) continue;
         Vec3 out = positions_m[at(e.opposite[k])] - origin;
         out -= along * along.dot(out);
-        if (sign * n.dot(out) > rise * out.norm()) return false;
+        if (sign * normal.dot(out) > rise * out.norm()) return false;
       }
       return true;
     };
-    if (!behind(edge, p.normal, 1.0) || !behind(other, p.normal, -1.0)) continue;
+    const Vec3& n = pair.proximity.normal;
+    if (!behind(edge, n, 1.0) || !behind(other, n, -1.0)) continue;
     pairs_.push_back(pair);
   }
 }
@@ -255,10 +276,9 @@ void TissueContact::renew(Pair& pair, std::span<const Vec3> x) const {
 }
 
 void TissueContact::choose(std::span<const Vec3> positions_m) {
-  carried_.clear();
-  for (const Pair& pair : pairs_)
-    if (pair.force_n > 0.0) carried_.push_back(pair.key());
-  std::sort(carried_.begin(), carried_.end());
+  known_.swap(pairs_);
+  std::sort(known_.begin(), known_.end(),
+            [](const Pair& a, const Pair& b) { return a.key() < b.key(); });
   pairs_.clear();
   for (const std::size_t i : close_vertices_)
     choose_vertex(features_.vertices()[i], near_vertex_[i], positions_m);
@@ -295,20 +315,35 @@ void TissueContact::update(std::span<const Vec3> positions_m,
   }
 }
 
-void TissueContact::add_rows(constraints::ConstraintRows& rows) {
+double TissueContact::softer_modulus_pa(const Pair& pair) const {
+  return std::min(young_modulus_pa_[at(triangle_of(pair, false))],
+                  young_modulus_pa_[at(triangle_of(pair, true))]);
+}
+
+void TissueContact::add_rows(std::span<const Vec3> positions_m,
+                             constraints::ConstraintRows& rows) {
   first_row_ = rows.size();
   for (const Pair& pair : pairs_) {
-    const bool edges = pair.kind == PairKind::kEdgeEdge;
-    const auto modulus = [&](std::int32_t triangle) { return young_modulus_pa_[at(triangle)]; };
-    const double softer =
-        edges ? std::min(modulus(features_.edges()[at(pair.first)].triangles[0]),
-                         modulus(features_.edges()[at(pair.second)].triangles[0]))
-              : std::min(modulus(features_.triangles_at(pair.first)[0]), modulus(pair.second));
     constraints::Row& row = rows.add(constraints::Bounds::unilateral(), kThickness_m,
-                                     kComplianceTimesModulus / softer);
+                                     kComplianceTimesModulus / softer_modulus_pa(pair));
     row.key = pair.key();
     for (std::size_t i = 0; i < 4; ++i)
       rows.touch(pair.vertices[i], pair.proximity.coefficient[i] * pair.proximity.normal);
+  }
+  for (const Pair& pair : pairs_) {
+    const double force_n = pair.force_n;
+    if (force_n < kResistedForce * softer_modulus_pa(pair) * edge_length_m_ * edge_length_m_)
+      continue;
+    const Vec3& n = pair.proximity.normal;
+    const Vec3 first = n.unitOrthogonal();
+    for (const Vec3& across : {first, Vec3(n.cross(first))}) {
+      double now_m = 0.0;
+      for (std::size_t i = 0; i < 4; ++i)
+        now_m += pair.proximity.coefficient[i] * across.dot(positions_m[at(pair.vertices[i])]);
+      rows.add(constraints::Bounds::bilateral(), now_m, edge_length_m_ / force_n);
+      for (std::size_t i = 0; i < 4; ++i)
+        rows.touch(pair.vertices[i], pair.proximity.coefficient[i] * across);
+    }
   }
 }
 

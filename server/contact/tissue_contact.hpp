@@ -14,9 +14,18 @@
 //
 // Broad phase: each vertex and edge keeps the features within its reach and a margin, and looks
 // again when the surfaces have moved by half the margin. Choice: made anew when they have moved by
-// kChoose_m since the last; a pair that carried force stays on looser terms. So still tissue keeps
-// its pairs, and a step is a smooth map that settles. Normals and coefficients are renewed each
-// step.
+// kChoose_m since the last; a pair that carried force stays on looser terms, and only one that was
+// known before may be deep: surfaces meet from outside. So still tissue keeps its pairs, and a step
+// is a smooth map that settles. Normals and coefficients are renewed each step.
+//
+// Resistance: the rows know the normal of the step before, not how it turns when the pair slides.
+// Under a large force λ that lets features overshoot past each other and back. Two rows across the
+// normal resist what changes in this step,
+//
+//     t · Σ cᵢ (xᵢ − xᵢ now) + (h / λ) μ = 0      h = mean edge length
+//
+// a proximal step: once the tissue is still they carry nothing, so the equilibrium is that of
+// smooth surfaces without friction (docs/adr/0031).
 #pragma once
 
 #include <array>
@@ -65,7 +74,8 @@ class TissueContact {
   /// Finds and renews the pairs where the tissue is now. `tree` is over the surface, refit.
   void update(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree);
 
-  void add_rows(constraints::ConstraintRows& rows);
+  /// Adds a row per pair, and those that resist its slide. `positions_m`: of the last update.
+  void add_rows(std::span<const Vec3> positions_m, constraints::ConstraintRows& rows);
   void read(std::span<const double> lambda);
 
   [[nodiscard]] std::span<const Pair> pairs() const { return pairs_; }
@@ -80,7 +90,10 @@ class TissueContact {
                      std::span<const Vec3> positions_m);
   void choose_edge(std::int32_t edge, std::span<const std::int32_t> others,
                    std::span<const Vec3> positions_m);
-  [[nodiscard]] bool carried(std::uint64_t key) const;
+  [[nodiscard]] const Pair* known(std::uint64_t key) const;
+  [[nodiscard]] bool admit(Pair& pair) const;
+  [[nodiscard]] std::int32_t triangle_of(const Pair& pair, bool second) const;
+  [[nodiscard]] double softer_modulus_pa(const Pair& pair) const;
   [[nodiscard]] bool through_solid(std::int32_t vertex, std::int32_t triangle) const;
   [[nodiscard]] Vec3 edge_normal(const SurfaceEdge& edge) const;
   void renew(Pair& pair, std::span<const Vec3> positions_m) const;
@@ -97,8 +110,7 @@ class TissueContact {
   std::vector<std::vector<std::int32_t>> near_vertex_, near_edge_;
   std::vector<double> vertex_due_, edge_due_;
   std::vector<std::size_t> close_vertices_, close_edges_;  ///< with candidates
-  std::vector<Pair> pairs_;
-  std::vector<std::uint64_t> carried_;  ///< keys, sorted
+  std::vector<Pair> pairs_, known_;  ///< now; of the choice before, by key
   int first_row_ = 0;
   std::uint64_t searches_ = 0;
 };
