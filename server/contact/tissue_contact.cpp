@@ -9,7 +9,7 @@ namespace sutured::contact {
 namespace {
 
 // A pair is taken in while its gap is below this and what three steps at the present speed close.
-constexpr double kReach_m = 4e-5;
+constexpr double kReach_m = 1.5e-5;
 constexpr double kReachMax_m = 4e-4;
 // Deeper than this a vertex is taken to be on another side of the body.
 constexpr double kDepthMax_m = 8e-4;
@@ -24,6 +24,8 @@ constexpr double kFacingCosine = -0.3;
 constexpr double kOutside = 0.005, kOutsideCarried = 0.05;
 // Slope by which a surface may rise above the plane of an edge pair.
 constexpr double kRise = 0.05, kRiseCarried = 0.15;
+// Edges that bend less than this slope on both sides add nothing to vertices and faces.
+constexpr double kFlat = 0.02;
 constexpr double kSineMin = 0.05;
 // Row compliance times modulus: 2e-5 m/N at 200 kPa.
 constexpr double kComplianceTimesModulus = 2e-5 * 2e5;
@@ -246,6 +248,7 @@ void TissueContact::choose_edge(std::int32_t index, std::span<const std::int32_t
     if (!admit(pair)) continue;
     // Around each crossing its own surface stays behind the plane across the normal.
     const double rise = pair.force_n > 0.0 ? kRiseCarried : kRise;
+    double sharpest = 0.0;  // how far either surface falls away from its edge
     const auto behind = [&](const SurfaceEdge& e, const Vec3& normal, double sign) {
       const Vec3& origin = positions_m[at(e.vertices[0])];
       const Vec3 along = (positions_m[at(e.vertices[1])] - origin).normalized();
@@ -253,12 +256,16 @@ void TissueContact::choose_edge(std::int32_t index, std::span<const std::int32_t
         if (e.opposite[k] < 0) continue;
         Vec3 out = positions_m[at(e.opposite[k])] - origin;
         out -= along * along.dot(out);
-        if (sign * normal.dot(out) > rise * out.norm()) return false;
+        const double slope = sign * normal.dot(out) / out.norm();
+        if (slope > rise) return false;
+        sharpest = std::max(sharpest, -slope);
       }
       return true;
     };
     const Vec3& n = pair.proximity.normal;
     if (!behind(edge, n, 1.0) || !behind(other, n, -1.0)) continue;
+    // Between two surfaces that are flat here the vertices say it all.
+    if (sharpest < kFlat && pair.force_n <= 0.0) continue;
     pairs_.push_back(pair);
   }
 }
