@@ -45,7 +45,7 @@ DOMAIN ?= 0
 PREFIX ?= /usr/local
 
 .PHONY: run
-run: build ## Run the main job: server, a device that plays a surgeon over DDS, plot and summary
+run: build ## Run the main job: server, devices that play a surgeon's hands over DDS, plot and summary
 	@BIN=$(BIN) SCENE=$(SCENE) SURGEON=$(SURGEON) OUT=$(RUN_DIR) DOMAIN=$(DOMAIN) server/scenes/main_job.sh
 
 .PHONY: serve

@@ -9,6 +9,7 @@ namespace suture::cli {
 namespace {
 
 constexpr double kWidth = 960, kHeight = 360;
+constexpr double kLabelWidth = 10;
 constexpr double kLeft = 64, kRight = 16, kTop = 44, kBottom = 44;
 
 /// Returns the round number (1, 2 or 5 times a power of ten) that cuts `range` into at
@@ -93,10 +94,13 @@ std::string force_plot_svg(const ForceTrace& trace, std::span<const PlotMark> ma
          "<text transform=\"translate(16 %g) rotate(-90)\" text-anchor=\"middle\" "
          "fill=\"#444\">force (N)</text>\n",
          (kTop + kHeight - kBottom) / 2);
+  double labelled_to = 0.0;
   for (const PlotMark& mark : marks) {
     if (mark.time_s < begin_s || mark.time_s > end_s) continue;
     append(svg, "<path d=\"M%.2f %gV%g\" stroke=\"#c0392b\" stroke-dasharray=\"3 3\"/>",
            x(mark.time_s), kTop, kHeight - kBottom);
+    if (x(mark.time_s) < labelled_to) continue;  // it would lie over the last one
+    labelled_to = x(mark.time_s) + kLabelWidth;
     append(svg, "<text transform=\"translate(%.2f %g) rotate(-90)\" text-anchor=\"end\" ",
            x(mark.time_s) - 3, kTop + 2);
     svg += "font-size=\"10\" fill=\"#c0392b\">" + escaped(mark.label) + "</text>\n";

@@ -2,8 +2,10 @@
 // `sutured run` as a user runs it: the main scene, its surgeon, its files.
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <numbers>
 #include <string>
 #include <vector>
 
@@ -13,6 +15,7 @@ namespace sutured {
 namespace {
 
 const std::string kScene = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/scene.toml";
+const std::string kOneBite = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/one_bite.csv";
 const std::string kSurgeon = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/surgeon.csv";
 
 testing::ProgramResult run(std::vector<std::string> arguments) {
@@ -20,14 +23,18 @@ testing::ProgramResult run(std::vector<std::string> arguments) {
   return testing::run_program(arguments);
 }
 
-std::vector<std::string> course(const std::string& folder) {
+std::vector<nlohmann::json> events(const std::string& folder) {
   std::ifstream file(folder + "/events.jsonl");
+  std::vector<nlohmann::json> result;
+  for (std::string line; std::getline(file, line);) result.push_back(nlohmann::json::parse(line));
+  return result;
+}
+
+std::vector<std::string> course(const std::string& folder) {
   std::vector<std::string> result;
-  for (std::string line; std::getline(file, line);) {
-    const auto event = nlohmann::json::parse(line);
+  for (const auto& event : events(folder))
     if (event["kind"] == "puncture" || event["kind"] == "exit")
       result.push_back(event["kind"].get<std::string>() + " " + event["object"].get<std::string>());
-  }
   return result;
 }
 
@@ -35,7 +42,7 @@ TEST(RunCommand, TwiceGivesTheSameBytes) {
   const testing::TemporaryFolder first, second;
   for (const auto* folder : {&first, &second}) {
     const auto result =
-        run({kScene, "--surgeon", kSurgeon, "--out", folder->path("out"), "--rate", "125"});
+        run({kScene, "--surgeon", kOneBite, "--out", folder->path("out"), "--rate", "125"});
     ASSERT_EQ(result.exit_code, 0) << result.err;
   }
   for (const char* name : {"steps.csv", "tools.csv", "events.jsonl", "final.vtk", "summary.json"}) {
@@ -53,7 +60,7 @@ TEST(RunCommand, TheCourseOfTheNeedleDoesNotDependOnTheRate) {
   for (const char* rate : {"20", "30", "60", "100", "250"}) {
     const testing::TemporaryFolder folder;
     const auto result =
-        run({kScene, "--surgeon", kSurgeon, "--out", folder.path("out"), "--rate", rate});
+        run({kScene, "--surgeon", kOneBite, "--out", folder.path("out"), "--rate", rate});
     ASSERT_EQ(result.exit_code, 0) << result.err;
     EXPECT_EQ(course(folder.path("out")), expected) << "at " << rate << " Hz";
     const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
@@ -67,9 +74,51 @@ TEST(RunCommand, TheCourseOfTheNeedleDoesNotDependOnTheRate) {
   }
 }
 
+/// Eight stitches all around, 45° apart, each by both hands: what happens comes in order at any
+/// rate, every hole is where its stitch belongs, and the needle is never dropped.
+TEST(RunCommand, TheRunningSutureComesOutAsPlanned) {
+  constexpr int kStitches = 8;
+  // Stitches are placed up to 1.5° off; the rest is the hands' wobble and the walls' give.
+  constexpr double kAside_deg = 6.0;
+  std::vector<std::string> expected{"grasp driver needle"};
+  for (int stitch = 0; stitch < kStitches; ++stitch) {
+    expected.insert(expected.end(),
+                    {"puncture needle proximal", "exit needle proximal", "puncture needle distal",
+                     "exit needle distal", "grasp assistant needle", "release driver needle"});
+    if (stitch + 1 < kStitches)
+      expected.insert(expected.end(), {"grasp driver needle", "release assistant needle"});
+  }
+  for (const char* rate : {"60", "250"}) {
+    const testing::TemporaryFolder folder;
+    const auto result =
+        run({kScene, "--surgeon", kSurgeon, "--out", folder.path("out"), "--rate", rate});
+    ASSERT_EQ(result.exit_code, 0) << result.err;
+    std::vector<std::string> happened;
+    int holes = 0;
+    for (const auto& event : events(folder.path("out"))) {
+      const auto kind = event["kind"].get<std::string>();
+      EXPECT_TRUE(kind != "grip_slip" && kind != "limit" && kind != "solver_residual") << event;
+      if (kind != "grasp" && kind != "release" && kind != "puncture" && kind != "exit") continue;
+      happened.push_back(kind + " " + event["subject"].get<std::string>() + " " +
+                         event["object"].get<std::string>());
+      if (kind != "puncture" && kind != "exit") continue;
+      const double x = event["position_m"][0], y = event["position_m"][1];
+      const double planned_deg = 45.0 * (holes++ / 4);
+      const double aside_deg =
+          std::remainder(std::atan2(y, x) * 180.0 / std::numbers::pi - planned_deg, 360.0);
+      EXPECT_LT(std::abs(aside_deg), kAside_deg) << event << " at " << rate << " Hz";
+    }
+    EXPECT_EQ(happened, expected) << "at " << rate << " Hz";
+    const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
+    EXPECT_FALSE(summary["needles"]["needle"]["tip_inside"].get<bool>());
+    EXPECT_EQ(summary["needles"]["needle"]["embedded_length_m"].get<double>(), 0.0);
+    EXPECT_LT(summary["complementarity_residual_max"].get<double>(), 1e-8);
+  }
+}
+
 TEST(RunCommand, FaultsAreOneClearError) {
   const testing::TemporaryFolder folder;
-  const auto missing = run({"nowhere.toml", "--surgeon", kSurgeon, "--out", folder.path("out")});
+  const auto missing = run({"nowhere.toml", "--surgeon", kOneBite, "--out", folder.path("out")});
   EXPECT_EQ(missing.exit_code, 1);
   EXPECT_NE(missing.err.find("nowhere.toml"), std::string::npos);
 
@@ -81,7 +130,7 @@ TEST(RunCommand, FaultsAreOneClearError) {
   EXPECT_NE(unknown.err.find("scalpel"), std::string::npos);
   EXPECT_NE(unknown.err.find("[[tool]]"), std::string::npos);
 
-  const auto unwritable = run({kScene, "--surgeon", kSurgeon, "--out", strange + "/out"});
+  const auto unwritable = run({kScene, "--surgeon", kOneBite, "--out", strange + "/out"});
   EXPECT_EQ(unwritable.exit_code, 1);
   EXPECT_NE(unwritable.err.find("--out"), std::string::npos);
 

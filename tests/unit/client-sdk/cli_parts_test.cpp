@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "force_log.hpp"
@@ -47,6 +48,16 @@ TEST(ForcePlot, ShowsTitleAxesMarksAndCurve) {
   EXPECT_THAT(svg, HasSubstr(">10</text>"));  // the end
   EXPECT_EQ(svg.find("nan"), std::string::npos);
   EXPECT_EQ(svg.find("inf"), std::string::npos);
+}
+
+TEST(ForcePlot, LabelsNoMarkOverTheLabelOfTheLast) {
+  ForceTrace trace;
+  for (int i = 0; i <= 100; ++i) trace.add(0.6 * i, 0.02 * i);
+  const std::array<PlotMark, 3> marks{{{5.0, "first"}, {5.1, "at once"}, {7.0, "later"}}};
+  const std::string svg = force_plot_svg(trace, marks, "many");
+  EXPECT_THAT(svg, HasSubstr("first"));
+  EXPECT_EQ(svg.find("at once"), std::string::npos);
+  EXPECT_THAT(svg, HasSubstr("later"));
 }
 
 TEST(ForcePlot, TakesNothingAndZeroForces) {
