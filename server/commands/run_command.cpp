@@ -12,8 +12,10 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <span>
 #include <stdexcept>
 
+#include "fem/elements.hpp"
 #include "protocol/surgeon.hpp"
 #include "scene/scene_reader.hpp"
 #include "simulation/simulation.hpp"
@@ -100,9 +102,20 @@ simulation::ToolInput input_at(const suture::SurgeonTrack* track, double time_s)
   return input;
 }
 
-/// Legacy VTK with tets, displacements and von Mises stress per vertex, in metres and pascals.
+void write_stress(OutputFile& file, std::span<const simulation::Vec6> stress_pa) {
+  file << "SCALARS von_mises_pa double 1\nLOOKUP_TABLE default\n";
+  for (const auto& s : stress_pa) file << fem::von_mises_pa(s) << '\n';
+  file << "VECTORS principal_pa double\n";
+  for (const auto& s : stress_pa) {
+    const geometry::Vec3 p = fem::principal_stress_pa(s);
+    file << p[0] << ' ' << p[1] << ' ' << p[2] << '\n';
+  }
+}
+
+/// Legacy VTK with tets at rest, displacements, and stress per vertex and tet, in metres and
+/// pascals. The three components of `principal_pa` are the principal stresses, largest first.
 void write_vtk(const std::filesystem::path& directory, const Simulation& sim,
-               const std::string& title) {
+               const simulation::StressField& stress, const std::string& title) {
   OutputFile file(directory, "final.vtk");
   const auto rest = sim.rest_positions_m(), now = sim.positions_m();
   file << "# vtk DataFile Version 3.0\n"
@@ -119,11 +132,32 @@ void write_vtk(const std::filesystem::path& directory, const Simulation& sim,
     const geometry::Vec3 u = now[v] - rest[v];
     file << u[0] << ' ' << u[1] << ' ' << u[2] << '\n';
   }
-  std::vector<double> stress(rest.size());
-  sim.vertex_stress_pa(stress);
-  file << "SCALARS von_mises_pa double 1\nLOOKUP_TABLE default\n";
-  for (const double s : stress) file << s << '\n';
+  write_stress(file, stress.vertex_pa);
+  file << "CELL_DATA " << tets.size() << '\n';
+  write_stress(file, stress.tet_pa);
   file.close();
+}
+
+/// The largest principal and von Mises stress of any tet, and where: the tissue and the rest
+/// position of the tet's centre.
+nlohmann::json summarise_stress(const Simulation& sim, const simulation::StressField& stress) {
+  nlohmann::json summary;
+  const auto add = [&](const std::string& name, auto&& measure) {
+    const auto less = [&](const auto& a, const auto& b) { return measure(a) < measure(b); };
+    const auto largest = std::max_element(stress.tet_pa.begin(), stress.tet_pa.end(), less);
+    const auto& tet = sim.tets()[static_cast<std::size_t>(largest - stress.tet_pa.begin())];
+    geometry::Vec3 centre = geometry::Vec3::Zero();
+    for (const auto v : tet) centre += 0.25 * sim.rest_positions_m()[static_cast<std::size_t>(v)];
+    std::string tissue;
+    for (const auto& body : sim.bodies())
+      if (tet[0] >= body.first_vertex) tissue = body.name;
+    summary[name + "_max_pa"] = measure(*largest);
+    summary[name + "_max_at"] = {{"tissue", tissue},
+                                 {"rest_position_m", {centre[0], centre[1], centre[2]}}};
+  };
+  add("principal", [](const auto& s) { return fem::principal_stress_pa(s)[0]; });
+  add("von_mises", [](const auto& s) { return fem::von_mises_pa(s); });
+  return summary;
 }
 
 nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
@@ -264,11 +298,16 @@ int run(const RunOptions& options) {
     progress.at(step);
   }
   sim.update_displacements();
-  write_vtk(options.out, sim, scene.name);
-  OutputFile summary(options.out, "summary.json");
-  summary << summarise(scene, sim, events, peak_force_n, residual_max, steps, rate_hz).dump(2)
-          << "\n";
-  for (OutputFile* file : {&step_file, &timing, &tool_file, &event_file, &summary}) file->close();
+  simulation::StressField stress;
+  sim.compute_stress(stress);
+  write_vtk(options.out, sim, stress, scene.name);
+  nlohmann::json summary =
+      summarise(scene, sim, events, peak_force_n, residual_max, steps, rate_hz);
+  summary["stress"] = summarise_stress(sim, stress);
+  OutputFile summary_file(options.out, "summary.json");
+  summary_file << summary.dump(2) << "\n";
+  for (OutputFile* file : {&step_file, &timing, &tool_file, &event_file, &summary_file})
+    file->close();
   return 0;
 }
 

@@ -281,8 +281,6 @@ std::span<const geometry::Vec3> Simulation::rest_positions_m() const {
   return state_->tissue.model().vertices_m;
 }
 std::span<const geometry::Tet> Simulation::tets() const { return state_->tissue.model().tets; }
-void Simulation::vertex_stress_pa(std::span<double> stress) const {
-  state_->tissue.vertex_stress_pa(stress);
-}
+void Simulation::compute_stress(StressField& field) const { state_->tissue.compute_stress(field); }
 
 }  // namespace sutured::simulation

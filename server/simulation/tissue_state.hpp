@@ -55,10 +55,13 @@ class TissueState {
         .materials[static_cast<std::size_t>(model_.material_of_tet[static_cast<std::size_t>(tet)])]
         .young_modulus_pa;
   }
-  void vertex_stress_pa(std::span<double> stress) const;
+  /// Computes the stress of the last `refresh`; allocates only where `field` is too small.
+  void compute_stress(StressField& field) const;
 
  private:
   fem::Model model_;
+  std::vector<fem::TetShape> rest_shapes_;  ///< per tet
+  std::vector<double> vertex_volume_m3_;    ///< of the tets at each vertex, at rest
   std::vector<int> tissue_of_tet_;
   std::vector<Body> bodies_;
   geometry::TetAdjacency adjacency_;
