@@ -162,7 +162,8 @@ nlohmann::json summarise_stress(const Simulation& sim, const simulation::StressF
 
 nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
                          const nlohmann::json& events, const std::vector<double>& peak_force_n,
-                         double residual_max, std::uint64_t steps, double rate_hz) {
+                         double residual_max, int inverted_tets_max, std::uint64_t steps,
+                         double rate_hz) {
   nlohmann::json summary;
   summary["scene"] = scene.name;
   summary["steps"] = steps;
@@ -196,6 +197,7 @@ nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
         std::max(displacement, (sim.positions_m()[v] - sim.rest_positions_m()[v]).norm());
   summary["displacement_max_m"] = displacement;
   summary["complementarity_residual_max"] = residual_max;
+  summary["inverted_tets_max"] = inverted_tets_max;
   return summary;
 }
 
@@ -253,6 +255,7 @@ int run(const RunOptions& options) {
   std::vector<double> peak_force_n(scene.tools.size(), 0.0);
   nlohmann::json events = nlohmann::json::array();
   double residual_max = 0.0;
+  int inverted_tets_max = 0;
   const auto take_events = [&] {
     for (const auto& event : sim.events()) {
       const nlohmann::json line = {
@@ -274,6 +277,7 @@ int run(const RunOptions& options) {
     sim.step(inputs, 1.0 / rate_hz);
     const auto& report = sim.report();
     residual_max = std::max(residual_max, report.complementarity_residual);
+    inverted_tets_max = std::max(inverted_tets_max, report.inverted_tets);
     step_file << report.time_s << ',' << report.rows << ',' << report.active_unilateral_rows << ','
               << report.contacts << ',' << report.complementarity_residual << '\n';
     timing << report.time_s << ',' << report.substeps << ',' << report.track_ns << ','
@@ -298,11 +302,12 @@ int run(const RunOptions& options) {
     progress.at(step);
   }
   sim.update_displacements();
+  inverted_tets_max = std::max(inverted_tets_max, sim.report().inverted_tets);
   simulation::StressField stress;
   sim.compute_stress(stress);
   write_vtk(options.out, sim, stress, scene.name);
   nlohmann::json summary =
-      summarise(scene, sim, events, peak_force_n, residual_max, steps, rate_hz);
+      summarise(scene, sim, events, peak_force_n, residual_max, inverted_tets_max, steps, rate_hz);
   summary["stress"] = summarise_stress(sim, stress);
   OutputFile summary_file(options.out, "summary.json");
   summary_file << summary.dump(2) << "\n";

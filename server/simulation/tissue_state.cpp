@@ -142,6 +142,7 @@ TissueState::TissueState(const scene::Scene& scene) : model_(assemble_model(scen
         model_.vertices_m[v] +
         Vec3(displacement_m_[3 * v], displacement_m_[3 * v + 1], displacement_m_[3 * v + 2]);
   free_positions_m_ = positions_m_;
+  count_inverted();
   tree_ = geometry::TriangleTree(surface_.triangles, positions_m_);
 }
 
@@ -159,7 +160,20 @@ void TissueState::refresh() {
         model_.vertices_m[v] +
         Vec3(displacement_m_[3 * v], displacement_m_[3 * v + 1], displacement_m_[3 * v + 2]);
   tree_.refit(positions_m_);
+  count_inverted();
   stale_ = false;
+}
+
+void TissueState::count_inverted() {
+  inverted_tets_ = 0;
+  first_inverted_tet_ = -1;
+  for (std::size_t t = 0; t < model_.tets.size(); ++t) {
+    const auto& [a, b, c, d] = model_.tets[t];
+    if (geometry::signed_volume(positions_m_[at(a)], positions_m_[at(b)], positions_m_[at(c)],
+                                positions_m_[at(d)]) > 0.0)
+      continue;
+    if (inverted_tets_++ == 0) first_inverted_tet_ = static_cast<std::int32_t>(t);
+  }
 }
 
 void TissueState::reset() {

@@ -66,6 +66,7 @@ TEST(RunCommand, TheCourseOfTheNeedleDoesNotDependOnTheRate) {
       EXPECT_LT(puncture["force_n"].get<double>(), 0.07);
     }
     EXPECT_LT(summary["complementarity_residual_max"].get<double>(), 1e-8);
+    EXPECT_EQ(summary["inverted_tets_max"], 0);
     EXPECT_GT(summary["tools"]["driver"]["peak_force_n"].get<double>(), 0.05);
     EXPECT_LT(summary["tools"]["driver"]["peak_force_n"].get<double>(), 0.2);
   }

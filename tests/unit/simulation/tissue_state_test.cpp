@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What the tissue says about its own state: stress.
+// What the tissue says about its own state: stress, and tets turned inside out.
 #include "simulation/tissue_state.hpp"
 
 #include <gtest/gtest.h>
 
 #include <Eigen/LU>
+#include <algorithm>
 #include <random>
 
 #include "fem/elements.hpp"
@@ -113,6 +114,82 @@ TEST(TissueState, StressAtAVertexIsTheMeanOfItsTetsByVolume) {
           volume += volume_m3[t];
         }
     EXPECT_LT((field.vertex_pa[v] - sum / volume).norm(), tolerance_pa) << "vertex " << v;
+  }
+}
+
+int inverted_tets(const Simulation& sim) {
+  int count = 0;
+  const auto x = sim.positions_m();
+  for (const auto& tet : sim.tets()) {
+    Mat3 edges;
+    for (std::size_t i = 0; i < 3; ++i)
+      edges.col(static_cast<Eigen::Index>(i)) =
+          x[static_cast<std::size_t>(tet[i + 1])] - x[static_cast<std::size_t>(tet[0])];
+    count += edges.determinant() <= 0.0;
+  }
+  return count;
+}
+
+TEST(TissueState, InvertedTetsAreCountedAndToldWhenTheyGrow) {
+  Simulation sim(testing::block_scene(4));
+  std::vector<ToolInput> inputs(kBlockTools);
+  const Vec3 above(0.001, 0.002, 0.0025);
+  int before = 0, told = 0, grown = 0, most = 0;
+  std::vector<Event> tellings;
+  const auto step = [&](double depth_m) {
+    inputs[kProbe] = testing::tool_at(above - Vec3(0, 0, depth_m));
+    sim.step(inputs, 0.004);
+    ASSERT_EQ(sim.report().substeps, 1);
+    for (const Event& event : sim.events())
+      if (event.kind == EventKind::kInverted) tellings.push_back(event);
+    // The step tells of the state that it started from; the next one would tell of this.
+    EXPECT_EQ(sim.report().inverted_tets, before);
+    grown += before > told;
+    told = before;
+    sim.update_displacements();
+    before = inverted_tets(sim);
+    EXPECT_EQ(sim.report().inverted_tets, std::max(told, before));
+    most = std::max(most, before);
+  };
+  for (double depth_m = 0.0; depth_m < 0.012; depth_m += 2e-4) step(depth_m);
+  ASSERT_GT(most, 3) << "the probe did not press hard enough for this test to mean anything";
+  for (double depth_m = 0.012; depth_m > 0.0; depth_m -= 2e-4) step(depth_m);
+  step(0.0);
+  EXPECT_EQ(before, 0);
+  EXPECT_GE(grown, 2);
+  ASSERT_EQ(static_cast<int>(tellings.size()), grown);
+  EXPECT_EQ(std::max_element(tellings.begin(), tellings.end(),
+                             [](const auto& a, const auto& b) { return a.force_n < b.force_n; })
+                ->force_n,
+            most);
+  for (const Event& event : tellings) {
+    EXPECT_EQ(event.subject, "block");
+    EXPECT_LT((event.position_m - above).head<2>().norm(), 0.01);
+  }
+  sim.reset();
+  EXPECT_EQ(sim.report().inverted_tets, 0);
+}
+
+TEST(TissueState, TetsInvertedByTheSceneItselfAreToldAtTheFirstStep) {
+  scene::Scene scene = testing::block_scene(4);
+  scene::Prescribed pushed;  // the top, to below the bottom
+  for (std::size_t v = 0; v < scene.tissues[0].mesh.vertices_m.size(); ++v)
+    if (scene.tissues[0].mesh.vertices_m[v][2] > -1e-9)
+      pushed.vertices.push_back(static_cast<std::int32_t>(v));
+  pushed.displacement_m = Vec3(0, 0, -0.011);
+  scene.tissues[0].prescribed.push_back(pushed);
+  Simulation sim(scene);
+  const std::vector<ToolInput> nothing(kBlockTools);
+  for (int round = 0; round < 2; ++round) {
+    sim.step(nothing, 0.004);
+    ASSERT_EQ(sim.events().size(), 1U);
+    EXPECT_EQ(sim.events()[0].kind, EventKind::kInverted);
+    EXPECT_EQ(sim.events()[0].force_n, inverted_tets(sim));
+    EXPECT_EQ(sim.report().inverted_tets, inverted_tets(sim));
+    EXPECT_GT(inverted_tets(sim), 0);
+    sim.step(nothing, 0.004);
+    EXPECT_TRUE(sim.events().empty());
+    sim.reset();
   }
 }
 
