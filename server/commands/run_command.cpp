@@ -16,6 +16,7 @@
 #include <stdexcept>
 
 #include "fem/elements.hpp"
+#include "needle/curve.hpp"
 #include "protocol/surgeon.hpp"
 #include "scene/scene_reader.hpp"
 #include "simulation/simulation.hpp"
@@ -160,6 +161,18 @@ nlohmann::json summarise_stress(const Simulation& sim, const simulation::StressF
   return summary;
 }
 
+/// Points of a needle's axis, tip to tail: what to draw.
+nlohmann::json course_m(const scene::Needle& needle, const scene::Pose& pose) {
+  constexpr int kPoints = 33;
+  const needle::Curve curve = needle::Curve::of(needle);
+  nlohmann::json course = nlohmann::json::array();
+  for (int i = 0; i < kPoints; ++i) {
+    const geometry::Vec3 p = curve.point(pose, curve.length_m() * (1.0 - i / (kPoints - 1.0)));
+    course.push_back({p[0], p[1], p[2]});
+  }
+  return course;
+}
+
 nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
                          const nlohmann::json& events, const std::vector<double>& peak_force_n,
                          double residual_max, int inverted_tets_max, std::uint64_t steps,
@@ -186,9 +199,12 @@ nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
   nlohmann::json needles = nlohmann::json::object();
   for (std::size_t i = 0; i < scene.needles.size(); ++i) {
     const auto& needle = sim.needles()[i];
-    needles[scene.needles[i].name] = {{"embedded_length_m", needle.embedded_length_m},
-                                      {"active_cells", needle.active_cells},
-                                      {"tip_inside", needle.tip_inside}};
+    needles[scene.needles[i].name] = {
+        {"embedded_length_m", needle.embedded_length_m},
+        {"active_cells", needle.active_cells},
+        {"tip_inside", needle.tip_inside},
+        {"diameter_m", scene.needles[i].diameter_m},
+        {"course_m", course_m(scene.needles[i], {needle.position_m, needle.orientation})}};
   }
   summary["needles"] = needles;
   double displacement = 0.0;

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
@@ -70,6 +71,29 @@ TEST(RunCommand, TheCourseOfTheNeedleDoesNotDependOnTheRate) {
     EXPECT_GT(summary["tools"]["driver"]["peak_force_n"].get<double>(), 0.05);
     EXPECT_LT(summary["tools"]["driver"]["peak_force_n"].get<double>(), 0.2);
   }
+}
+
+/// The scene's needle is half a circle of 8 mm: every point of its course lies on it.
+TEST(RunCommand, TheSummaryHoldsTheCourseOfTheNeedle) {
+  const testing::TemporaryFolder folder;
+  const auto result = run({kScene, "--surgeon", kSurgeon, "--out", folder.path("out"), "--rate",
+                           "30", "--duration", "4"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
+  const auto needle = summary["needles"]["needle"];
+  EXPECT_DOUBLE_EQ(needle["diameter_m"].get<double>(), 0.0006);
+  using Point = std::array<double, 3>;
+  const auto course = needle["course_m"].get<std::vector<Point>>();
+  ASSERT_EQ(course.size(), 33U);
+  const auto distance = [](const Point& a, const Point& b) {
+    return std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
+  };
+  EXPECT_NEAR(distance(course.front(), course.back()), 0.016, 1e-12);
+  Point centre{};
+  for (std::size_t i = 0; i < 3; ++i) centre[i] = (course.front()[i] + course.back()[i]) / 2;
+  for (const Point& p : course) EXPECT_NEAR(distance(p, centre), 0.008, 1e-12);
+  EXPECT_TRUE(needle["tip_inside"].get<bool>() || needle["embedded_length_m"].get<double>() > 0.0);
+  EXPECT_LT(course.front()[0], 0.006) << "the tip comes first, and is in the vessel";
 }
 
 /// The numbers below `header` of a legacy VTK file, `count` of them.
