@@ -12,8 +12,11 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <span>
 #include <stdexcept>
 
+#include "fem/elements.hpp"
+#include "needle/curve.hpp"
 #include "protocol/surgeon.hpp"
 #include "scene/scene_reader.hpp"
 #include "simulation/simulation.hpp"
@@ -100,9 +103,20 @@ simulation::ToolInput input_at(const suture::SurgeonTrack* track, double time_s)
   return input;
 }
 
-/// Legacy VTK with tets, displacements and von Mises stress per vertex, in metres and pascals.
+void write_stress(OutputFile& file, std::span<const simulation::Vec6> stress_pa) {
+  file << "SCALARS von_mises_pa double 1\nLOOKUP_TABLE default\n";
+  for (const auto& s : stress_pa) file << fem::von_mises_pa(s) << '\n';
+  file << "VECTORS principal_pa double\n";
+  for (const auto& s : stress_pa) {
+    const geometry::Vec3 p = fem::principal_stress_pa(s);
+    file << p[0] << ' ' << p[1] << ' ' << p[2] << '\n';
+  }
+}
+
+/// Legacy VTK with tets at rest, displacements, and stress per vertex and tet, in metres and
+/// pascals. The three components of `principal_pa` are the principal stresses, largest first.
 void write_vtk(const std::filesystem::path& directory, const Simulation& sim,
-               const std::string& title) {
+               const simulation::StressField& stress, const std::string& title) {
   OutputFile file(directory, "final.vtk");
   const auto rest = sim.rest_positions_m(), now = sim.positions_m();
   file << "# vtk DataFile Version 3.0\n"
@@ -119,16 +133,50 @@ void write_vtk(const std::filesystem::path& directory, const Simulation& sim,
     const geometry::Vec3 u = now[v] - rest[v];
     file << u[0] << ' ' << u[1] << ' ' << u[2] << '\n';
   }
-  std::vector<double> stress(rest.size());
-  sim.vertex_stress_pa(stress);
-  file << "SCALARS von_mises_pa double 1\nLOOKUP_TABLE default\n";
-  for (const double s : stress) file << s << '\n';
+  write_stress(file, stress.vertex_pa);
+  file << "CELL_DATA " << tets.size() << '\n';
+  write_stress(file, stress.tet_pa);
   file.close();
+}
+
+/// The largest principal and von Mises stress of any tet, and where: the tissue and the rest
+/// position of the tet's centre.
+nlohmann::json summarise_stress(const Simulation& sim, const simulation::StressField& stress) {
+  nlohmann::json summary;
+  const auto add = [&](const std::string& name, auto&& measure) {
+    const auto less = [&](const auto& a, const auto& b) { return measure(a) < measure(b); };
+    const auto largest = std::max_element(stress.tet_pa.begin(), stress.tet_pa.end(), less);
+    const auto& tet = sim.tets()[static_cast<std::size_t>(largest - stress.tet_pa.begin())];
+    geometry::Vec3 centre = geometry::Vec3::Zero();
+    for (const auto v : tet) centre += 0.25 * sim.rest_positions_m()[static_cast<std::size_t>(v)];
+    std::string tissue;
+    for (const auto& body : sim.bodies())
+      if (tet[0] >= body.first_vertex) tissue = body.name;
+    summary[name + "_max_pa"] = measure(*largest);
+    summary[name + "_max_at"] = {{"tissue", tissue},
+                                 {"rest_position_m", {centre[0], centre[1], centre[2]}}};
+  };
+  add("principal", [](const auto& s) { return fem::principal_stress_pa(s)[0]; });
+  add("von_mises", [](const auto& s) { return fem::von_mises_pa(s); });
+  return summary;
+}
+
+/// Points of a needle's axis, tip to tail: what to draw.
+nlohmann::json course_m(const scene::Needle& needle, const scene::Pose& pose) {
+  constexpr int kPoints = 33;
+  const needle::Curve curve = needle::Curve::of(needle);
+  nlohmann::json course = nlohmann::json::array();
+  for (int i = 0; i < kPoints; ++i) {
+    const geometry::Vec3 p = curve.point(pose, curve.length_m() * (1.0 - i / (kPoints - 1.0)));
+    course.push_back({p[0], p[1], p[2]});
+  }
+  return course;
 }
 
 nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
                          const nlohmann::json& events, const std::vector<double>& peak_force_n,
-                         double residual_max, std::uint64_t steps, double rate_hz) {
+                         const std::vector<double>& peak_tension_n, double residual_max, int inverted_tets_max, std::uint64_t steps,
+                         double rate_hz) {
   nlohmann::json summary;
   summary["scene"] = scene.name;
   summary["steps"] = steps;
@@ -151,17 +199,34 @@ nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
   nlohmann::json needles = nlohmann::json::object();
   for (std::size_t i = 0; i < scene.needles.size(); ++i) {
     const auto& needle = sim.needles()[i];
-    needles[scene.needles[i].name] = {{"embedded_length_m", needle.embedded_length_m},
-                                      {"active_cells", needle.active_cells},
-                                      {"tip_inside", needle.tip_inside}};
+    needles[scene.needles[i].name] = {
+        {"embedded_length_m", needle.embedded_length_m},
+        {"active_cells", needle.active_cells},
+        {"tip_inside", needle.tip_inside},
+        {"diameter_m", scene.needles[i].diameter_m},
+        {"course_m", course_m(scene.needles[i], {needle.position_m, needle.orientation})}};
   }
   summary["needles"] = needles;
+  nlohmann::json threads = nlohmann::json::object();
+  for (std::size_t i = 0; i < scene.threads.size(); ++i) {
+    const auto& thread = sim.threads()[i];
+    nlohmann::json course = nlohmann::json::array();
+    for (const auto& p : thread.course_m) course.push_back({p[0], p[1], p[2]});
+    threads[scene.threads[i].name] = {{"tension_n", thread.tension_n},
+                                      {"tension_max_n", peak_tension_n[i]},
+                                      {"slack_m", thread.slack_m},
+                                      {"punctures", thread.punctures.size()},
+                                      {"diameter_m", scene.threads[i].diameter_m},
+                                      {"course_m", course}};
+  }
+  summary["threads"] = threads;
   double displacement = 0.0;
   for (std::size_t v = 0; v < sim.positions_m().size(); ++v)
     displacement =
         std::max(displacement, (sim.positions_m()[v] - sim.rest_positions_m()[v]).norm());
   summary["displacement_max_m"] = displacement;
   summary["complementarity_residual_max"] = residual_max;
+  summary["inverted_tets_max"] = inverted_tets_max;
   return summary;
 }
 
@@ -221,8 +286,10 @@ int run(const RunOptions& options) {
   for (const auto& tool : scene.tools) tracks.push_back(surgeon.track(tool.name));
   std::vector<simulation::ToolInput> inputs(scene.tools.size());
   std::vector<double> peak_force_n(scene.tools.size(), 0.0);
+  std::vector<double> peak_tension_n(scene.threads.size(), 0.0);
   nlohmann::json events = nlohmann::json::array();
   double residual_max = 0.0;
+  int inverted_tets_max = 0;
   const auto take_events = [&] {
     for (const auto& event : sim.events()) {
       const nlohmann::json line = {
@@ -244,6 +311,7 @@ int run(const RunOptions& options) {
     sim.step(inputs, 1.0 / rate_hz);
     const auto& report = sim.report();
     residual_max = std::max(residual_max, report.complementarity_residual);
+    inverted_tets_max = std::max(inverted_tets_max, report.inverted_tets);
     step_file << report.time_s << ',' << report.rows << ',' << report.active_unilateral_rows << ','
               << report.contacts << ',' << report.complementarity_residual << '\n';
     timing << report.time_s << ',' << report.substeps << ',' << report.track_ns << ','
@@ -266,6 +334,7 @@ int run(const RunOptions& options) {
     }
     for (std::size_t i = 0; i < scene.threads.size(); ++i) {
       const auto& thread = sim.threads()[i];
+      peak_tension_n[i] = std::max(peak_tension_n[i], thread.tension_n);
       thread_file << report.time_s << ',' << scene.threads[i].name << ',' << thread.tension_n << ','
                   << thread.slack_m << ',' << thread.punctures.size() << '\n';
     }
@@ -273,11 +342,17 @@ int run(const RunOptions& options) {
     progress.at(step);
   }
   sim.update_displacements();
-  write_vtk(options.out, sim, scene.name);
-  OutputFile summary(options.out, "summary.json");
-  summary << summarise(scene, sim, events, peak_force_n, residual_max, steps, rate_hz).dump(2)
-          << "\n";
-  for (OutputFile* file : {&step_file, &timing, &tool_file, &thread_file, &event_file, &summary}) file->close();
+  inverted_tets_max = std::max(inverted_tets_max, sim.report().inverted_tets);
+  simulation::StressField stress;
+  sim.compute_stress(stress);
+  write_vtk(options.out, sim, stress, scene.name);
+  nlohmann::json summary =
+      summarise(scene, sim, events, peak_force_n, peak_tension_n, residual_max, inverted_tets_max, steps, rate_hz);
+  summary["stress"] = summarise_stress(sim, stress);
+  OutputFile summary_file(options.out, "summary.json");
+  summary_file << summary.dump(2) << "\n";
+  for (OutputFile* file : {&step_file, &timing, &tool_file, &thread_file, &event_file, &summary_file})
+    file->close();
   return 0;
 }
 

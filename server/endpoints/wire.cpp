@@ -178,7 +178,9 @@ void set_event(suture::v1::Event& wire, const simulation::Event& event) noexcept
   suture::set_text(wire.object, event.object);
   for (int i = 0; i < 3; ++i) wire.position_m[i] = event.position_m[i];
   wire.value = event.force_n;
-  suture::set_text(wire.unit, "N");
+  const bool count = event.kind == simulation::EventKind::kInverted;
+  suture::set_text(wire.unit, count ? "tets" : "N");
+  if (count) suture::set_text(wire.text, "tets are inside out");
 }
 
 suture::v1::Percentiles percentiles(const haptics::LatencySummary& summary) noexcept {

@@ -89,6 +89,7 @@ struct Simulation::State {
   double base_s = 0.0, period_s = 0.0;
   std::uint64_t steps_since_base = 0;
   bool settled = true;
+  int inverted_told = 0;
 
   constraints::ConstraintRows rows;
   constraints::ComplementaritySolver solver;
@@ -111,6 +112,22 @@ struct Simulation::State {
     for (ThreadBody& thread : threads) thread.update(tissue, needles, tools, time_s, out);
     report.track_ns += since(tracking);
     settled = true;
+  }
+
+  /// Counts the tets that are inside out, and tells when there are more than before.
+  void look_for_inverted(std::vector<Event>& out) {
+    const int count = tissue.inverted_tets();
+    report.inverted_tets = std::max(report.inverted_tets, count);
+    if (count > inverted_told) {
+      const std::int32_t tet = tissue.first_inverted_tet();
+      Vec3 centre = Vec3::Zero();
+      for (const std::int32_t v : tissue.model().tets[static_cast<std::size_t>(tet)])
+        centre += 0.25 * tissue.positions_m()[static_cast<std::size_t>(v)];
+      const auto& body = tissue.bodies()[static_cast<std::size_t>(tissue.tissue_of_tet(tet))];
+      out.push_back(
+          {EventKind::kInverted, time_s, body.name, "", centre, static_cast<double>(count)});
+    }
+    inverted_told = count;
   }
 
   void build_rows() {
@@ -168,6 +185,7 @@ struct Simulation::State {
 
   void substep(double dt_s, double end_s) {
     settle(events);
+    look_for_inverted(events);
     tissue.compliance().evict(kIdleStepsMax);
     for (std::size_t i = 0; i < tools.size(); ++i)
       tools[i].move(moving[i], tissue, needles, threads, time_s, events);
@@ -327,6 +345,7 @@ struct Simulation::State {
     if (contact) contact->reset();
     contact_points.clear();
     settled = true;
+    inverted_told = 0;
     std::fill(inputs.begin(), inputs.end(), ToolInput());
     for (ToolResponse& response : responses) {
       response = {};
@@ -350,7 +369,10 @@ Simulation::Simulation(Simulation&&) noexcept = default;
 Simulation& Simulation::operator=(Simulation&&) noexcept = default;
 
 void Simulation::step(std::span<const ToolInput> tools, double dt_s) { state_->step(tools, dt_s); }
-void Simulation::update_displacements() { state_->settle(state_->pending_events); }
+void Simulation::update_displacements() {
+  state_->settle(state_->pending_events);
+  state_->look_for_inverted(state_->pending_events);
+}
 void Simulation::reset() { state_->reset(); }
 double Simulation::time_s() const { return state_->time_s; }
 std::span<const ToolResponse> Simulation::responses() const { return state_->responses; }
@@ -367,8 +389,6 @@ std::span<const geometry::Vec3> Simulation::rest_positions_m() const {
   return state_->tissue.model().vertices_m;
 }
 std::span<const geometry::Tet> Simulation::tets() const { return state_->tissue.model().tets; }
-void Simulation::vertex_stress_pa(std::span<double> stress) const {
-  state_->tissue.vertex_stress_pa(stress);
-}
+void Simulation::compute_stress(StressField& field) const { state_->tissue.compute_stress(field); }
 
 }  // namespace sutured::simulation

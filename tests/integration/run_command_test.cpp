@@ -2,11 +2,15 @@
 // `sutured run` as a user runs it: the main scene, its surgeon, its files.
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "support/program.hpp"
@@ -69,6 +73,7 @@ TEST(RunCommand, TheCourseOfTheNeedleDoesNotDependOnTheRate) {
       EXPECT_LT(puncture["force_n"].get<double>(), 0.07);
     }
     EXPECT_LT(summary["complementarity_residual_max"].get<double>(), 1e-8);
+    EXPECT_EQ(summary["inverted_tets_max"], 0);
     EXPECT_GT(summary["tools"]["driver"]["peak_force_n"].get<double>(), 0.05);
     EXPECT_LT(summary["tools"]["driver"]["peak_force_n"].get<double>(), 0.2);
   }
@@ -113,6 +118,87 @@ TEST(RunCommand, TheRunningSutureComesOutAsPlanned) {
     EXPECT_FALSE(summary["needles"]["needle"]["tip_inside"].get<bool>());
     EXPECT_EQ(summary["needles"]["needle"]["embedded_length_m"].get<double>(), 0.0);
     EXPECT_LT(summary["complementarity_residual_max"].get<double>(), 1e-8);
+  }
+}
+
+/// The scene's needle is half a circle of 8 mm: every point of its course lies on it.
+TEST(RunCommand, TheSummaryHoldsTheCourseOfTheNeedle) {
+  const testing::TemporaryFolder folder;
+  const auto result = run({kScene, "--surgeon", kOneBite, "--out", folder.path("out"), "--rate",
+                           "30", "--duration", "4"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
+  const auto needle = summary["needles"]["needle"];
+  EXPECT_DOUBLE_EQ(needle["diameter_m"].get<double>(), 0.0006);
+  using Point = std::array<double, 3>;
+  const auto course = needle["course_m"].get<std::vector<Point>>();
+  ASSERT_EQ(course.size(), 33U);
+  const auto distance = [](const Point& a, const Point& b) {
+    return std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
+  };
+  EXPECT_NEAR(distance(course.front(), course.back()), 0.016, 1e-12);
+  Point centre{};
+  for (std::size_t i = 0; i < 3; ++i) centre[i] = (course.front()[i] + course.back()[i]) / 2;
+  for (const Point& p : course) EXPECT_NEAR(distance(p, centre), 0.008, 1e-12);
+  EXPECT_TRUE(needle["tip_inside"].get<bool>() || needle["embedded_length_m"].get<double>() > 0.0);
+  EXPECT_LT(course.front()[0], 0.006) << "the tip comes first, and is in the vessel";
+}
+
+/// The numbers below `header` of a legacy VTK file, `count` of them.
+std::vector<double> numbers_below(const std::string& vtk, const std::string& section,
+                                  const std::string& header, std::size_t count) {
+  const std::size_t begin = vtk.find(header, vtk.find(section));
+  std::vector<double> result;
+  if (begin == std::string::npos) return result;
+  std::istringstream values(vtk.substr(begin + header.size()));
+  for (double value = 0.0; result.size() < count && values >> value;) result.push_back(value);
+  return result;
+}
+
+TEST(RunCommand, TheLastStateHoldsStressPerVertexAndPerTet) {
+  const testing::TemporaryFolder folder;
+  const auto result = run({kScene, "--surgeon", kOneBite, "--out", folder.path("out"), "--rate",
+                           "30", "--duration", "4"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const std::string vtk = testing::read_file(folder.path("out/final.vtk"));
+  const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
+  const auto stress = summary["stress"];
+  const std::size_t vertices = summary["vertices"], tets = summary["tets"];
+  const std::string scalars = "SCALARS von_mises_pa double 1\nLOOKUP_TABLE default\n";
+  const std::string vectors = "VECTORS principal_pa double\n";
+  EXPECT_EQ(
+      numbers_below(vtk, "POINT_DATA", "VECTORS displacement_m double\n", 3 * vertices).size(),
+      3 * vertices);
+  for (const auto& [section, size] : {std::pair("POINT_DATA", vertices), {"CELL_DATA", tets}}) {
+    ASSERT_NE(vtk.find(std::string(section) + " " + std::to_string(size) + "\n"),
+              std::string::npos);
+    const auto von_mises = numbers_below(vtk, section, scalars, size);
+    const auto principal = numbers_below(vtk, section, vectors, 3 * size);
+    ASSERT_EQ(von_mises.size(), size);
+    ASSERT_EQ(principal.size(), 3 * size);
+    double largest_principal_pa = 0.0, largest_von_mises_pa = 0.0;
+    for (std::size_t i = 0; i < size; ++i) {
+      const double a = principal[3 * i], b = principal[3 * i + 1], c = principal[3 * i + 2];
+      ASSERT_GE(a, b);
+      ASSERT_GE(b, c);
+      // Eigenvalues in closed form: 1e-7 of the largest.
+      ASSERT_NEAR(von_mises[i],
+                  std::sqrt(((a - b) * (a - b) + (b - c) * (b - c) + (c - a) * (c - a)) / 2),
+                  1e-6 * (std::abs(a) + std::abs(c)));
+      largest_principal_pa = std::max(largest_principal_pa, a);
+      largest_von_mises_pa = std::max(largest_von_mises_pa, von_mises[i]);
+    }
+    EXPECT_GT(largest_von_mises_pa, 1e3) << section;
+    if (size == tets) {
+      EXPECT_DOUBLE_EQ(stress["principal_max_pa"].get<double>(), largest_principal_pa);
+      EXPECT_DOUBLE_EQ(stress["von_mises_max_pa"].get<double>(), largest_von_mises_pa);
+    }
+  }
+  // At 4 s the needle is in the proximal wall only; both figures are found where it is.
+  for (const char* at : {"principal_max_at", "von_mises_max_at"}) {
+    EXPECT_EQ(stress[at]["tissue"], "proximal") << stress;
+    EXPECT_LT(stress[at]["rest_position_m"][2].get<double>(), 0.0) << stress;
+    EXPECT_GT(stress[at]["rest_position_m"][2].get<double>(), -0.01) << stress;
   }
 }
 

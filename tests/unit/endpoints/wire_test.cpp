@@ -90,7 +90,8 @@ TEST(SetEvent, NamesEveryKindOfTheSimulation) {
                                        {EventKind::kExit, suture_v1_EVENT_EXIT},
                                        {EventKind::kGripSlip, suture_v1_EVENT_GRIP_SLIP},
                                        {EventKind::kLimit, suture_v1_EVENT_LIMIT},
-                                       {EventKind::kSolverResidual, suture_v1_EVENT_SOLVER}}) {
+                                       {EventKind::kSolverResidual, suture_v1_EVENT_SOLVER},
+                                       {EventKind::kInverted, suture_v1_EVENT_SOLVER}}) {
     suture::v1::Event wire{};
     set_event(wire, {kind, 1.5, "needle", "proximal", {1, 2, 3}, 0.05});
     EXPECT_EQ(wire.kind, expected);
@@ -98,6 +99,7 @@ TEST(SetEvent, NamesEveryKindOfTheSimulation) {
     EXPECT_EQ(suture::text_of(wire.object), "proximal");
     EXPECT_EQ(wire.simulation_time_s, 1.5);
     EXPECT_EQ(wire.value, 0.05);
+    EXPECT_EQ(suture::text_of(wire.unit), kind == EventKind::kInverted ? "tets" : "N");
   }
 }
 
