@@ -199,7 +199,7 @@ struct Simulation::State {
         }
       needles[n].set_holder(holder);
       needles[n].begin(tissue, dt_s, holder >= 0, target_pose);
-      needles[n].find_tip_contact(tissue, kReach_m);
+      needles[n].find_contact(tissue, kReach_m);
     }
     for (ThreadBody& thread : threads) thread.follow(tissue, needles, tools, end_s);
     if (contact) {
@@ -296,7 +296,22 @@ struct Simulation::State {
 
   void report_contacts() {
     contact_points.clear();
+    for (std::size_t n = 0; n < needles.size(); ++n)
+      for (const ShaftContact::Touch& touch : needles[n].shaft().touches()) {
+        if (touch.force_n <= 0.0) continue;
+        ContactPoint point;
+        point.position_m = needle::position(tissue.view(), touch.at);
+        point.normal = touch.normal;
+        point.force_n = touch.force_n;
+        point.gap_m = touch.gap_m;
+        point.tissue = tissue.tissue_of_triangle(touch.at.triangle);
+        point.needle = static_cast<int>(n);
+        contact_points.push_back(point);
+      }
+    report.contacts += static_cast<int>(contact_points.size());
+    report.contact_pairs = static_cast<int>(contact_points.size());
     if (!contact) return;
+    const std::size_t needle_points = contact_points.size();
     const auto x = tissue.positions_m();
     for (const contact::Pair& pair : contact->pairs()) {
       if (pair.force_n <= 0.0) continue;
@@ -313,8 +328,8 @@ struct Simulation::State {
       point.other_tissue = contact->tissue_of(pair, edges);
       contact_points.push_back(point);
     }
-    report.contacts += static_cast<int>(contact_points.size());
-    report.contact_pairs = static_cast<int>(contact->pairs().size());
+    report.contacts += static_cast<int>(contact_points.size() - needle_points);
+    report.contact_pairs += static_cast<int>(contact->pairs().size());
   }
 
   void report_threads() {
