@@ -175,8 +175,8 @@ nlohmann::json course_m(const scene::Needle& needle, const scene::Pose& pose) {
 
 nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
                          const nlohmann::json& events, const std::vector<double>& peak_force_n,
-                         const std::vector<double>& peak_tension_n, double residual_max, int inverted_tets_max, std::uint64_t steps,
-                         double rate_hz) {
+                         const std::vector<double>& peak_tension_n, double residual_max,
+                         int inverted_tets_max, std::uint64_t steps, double rate_hz) {
   nlohmann::json summary;
   summary["scene"] = scene.name;
   summary["steps"] = steps;
@@ -277,7 +277,8 @@ int run(const RunOptions& options) {
       static_cast<std::uint64_t>(std::llround(std::ceil(duration_s * rate_hz - 1e-9)));
 
   OutputFile step_file(options.out, "steps.csv"), timing(options.out, "timing.csv"),
-      tool_file(options.out, "tools.csv"), thread_file(options.out, "threads.csv"), event_file(options.out, "events.jsonl");
+      tool_file(options.out, "tools.csv"), thread_file(options.out, "threads.csv"),
+      event_file(options.out, "events.jsonl");
   step_file << "time_s,rows,active_unilateral_rows,contacts,complementarity_residual\n";
   timing << "time_s,substeps,track_ns,contact_ns,assemble_ns,solve_ns,model_ns,backward_ns\n";
   tool_file << "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw,fx_n,fy_n,fz_n,tx_nm,ty_nm,tz_nm\n";
@@ -315,8 +316,8 @@ int run(const RunOptions& options) {
     step_file << report.time_s << ',' << report.rows << ',' << report.active_unilateral_rows << ','
               << report.contacts << ',' << report.complementarity_residual << '\n';
     timing << report.time_s << ',' << report.substeps << ',' << report.track_ns << ','
-           << report.contact_ns << ',' << report.assemble_ns << ',' << report.solve_ns << ',' << report.model_ns << ','
-           << report.backward_ns << '\n';
+           << report.contact_ns << ',' << report.assemble_ns << ',' << report.solve_ns << ','
+           << report.model_ns << ',' << report.backward_ns << '\n';
     for (std::size_t i = 0; i < inputs.size(); ++i) {
       if (!inputs[i].present) continue;
       const auto& p = inputs[i].position_m;
@@ -346,12 +347,13 @@ int run(const RunOptions& options) {
   simulation::StressField stress;
   sim.compute_stress(stress);
   write_vtk(options.out, sim, stress, scene.name);
-  nlohmann::json summary =
-      summarise(scene, sim, events, peak_force_n, peak_tension_n, residual_max, inverted_tets_max, steps, rate_hz);
+  nlohmann::json summary = summarise(scene, sim, events, peak_force_n, peak_tension_n, residual_max,
+                                     inverted_tets_max, steps, rate_hz);
   summary["stress"] = summarise_stress(sim, stress);
   OutputFile summary_file(options.out, "summary.json");
   summary_file << summary.dump(2) << "\n";
-  for (OutputFile* file : {&step_file, &timing, &tool_file, &thread_file, &event_file, &summary_file})
+  for (OutputFile* file :
+       {&step_file, &timing, &tool_file, &thread_file, &event_file, &summary_file})
     file->close();
   return 0;
 }
@@ -376,7 +378,8 @@ void add_run_command(CLI::App& app, int& exit_code) {
   command->footer(
       "Example: sutured run server/scenes/anastomosis/scene.toml \\\n"
       "           --surgeon server/scenes/anastomosis/surgeon.csv --out out/run\n"
-      "Writes steps.csv, timing.csv, tools.csv, threads.csv, events.jsonl, final.vtk and summary.json. Twice "
+      "Writes steps.csv, timing.csv, tools.csv, threads.csv, events.jsonl, final.vtk and "
+      "summary.json. Twice "
       "the same run\n"
       "gives the same bytes but for timing.csv. Exit code: 0 done, 1 faulty input or output, 2 "
       "wrong usage.");

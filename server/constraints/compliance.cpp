@@ -143,8 +143,7 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
       const auto entries = rows.entries(rows[i]);
       double* t = row_times_g_.data() + i * pitch + first;
       for (std::size_t e = 0; e < entries.size(); ++e) {
-        const auto slot =
-            entry_slot_[static_cast<std::size_t>(rows[i].first_entry) + e];
+        const auto slot = entry_slot_[static_cast<std::size_t>(rows[i].first_entry) + e];
         add_three_rows(g_row(3 * slot) + first, stride, entries[e].coefficient.data(), count, t);
       }
     }

@@ -52,8 +52,8 @@ struct Pair {
   std::int32_t first = -1;   ///< vertex of the mesh, or edge
   std::int32_t second = -1;  ///< triangle, or edge
   std::array<std::int32_t, 4> vertices{};
-  Proximity proximity;        ///< where the tissue was at the last update
-  double force_n = 0.0;       ///< of the last solve
+  Proximity proximity;   ///< where the tissue was at the last update
+  double force_n = 0.0;  ///< of the last solve
   [[nodiscard]] std::uint64_t key() const {
     return (std::uint64_t{1} << 63) |
            (static_cast<std::uint64_t>(kind == PairKind::kEdgeEdge) << 62) |
@@ -110,7 +110,7 @@ class TissueContact {
   std::vector<std::vector<std::int32_t>> near_vertex_, near_edge_;
   std::vector<double> vertex_due_, edge_due_;
   std::vector<std::size_t> close_vertices_, close_edges_;  ///< with candidates
-  std::vector<Pair> pairs_, known_;  ///< now; of the choice before, by key
+  std::vector<Pair> pairs_, known_;                        ///< now; of the choice before, by key
   int first_row_ = 0;
   std::uint64_t searches_ = 0;
 };

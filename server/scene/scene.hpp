@@ -131,10 +131,10 @@ struct Thread {
   ThreadEnds ends = ThreadEnds::kHeld;
   ThreadHead head = ThreadHead::kSwaged;
   ThreadModel model = ThreadModel::kOutside;
-  double diameter_m = 0.0003;    ///< for the eye
-  double tension_max_n = 0.5;    ///< a pull beyond it is clamped
-  double tail_length_m = 0.03;   ///< before the first of `punctures`, where the tail is free
-  std::vector<Bite> punctures;   ///< from tail to head, two a bite
+  double diameter_m = 0.0003;   ///< for the eye
+  double tension_max_n = 0.5;   ///< a pull beyond it is clamped
+  double tail_length_m = 0.03;  ///< before the first of `punctures`, where the tail is free
+  std::vector<Bite> punctures;  ///< from tail to head, two a bite
   std::vector<TimedLength> length_program;  ///< ascending times; empty for none
 };
 

@@ -237,10 +237,10 @@ class SceneBuilder {
                     "leave needle out, or write ends = \"held\" and head = \"swaged\"");
       for (const Thread& other : scene_.threads)
         if (!thread.needle.empty() && other.needle == thread.needle)
-          table.fault("needle",
-                      "threads \"" + other.name + "\" and \"" + thread.name +
-                          "\" hang on the same needle",
-                      "give each thread its own needle");
+          table.fault(
+              "needle",
+              "threads \"" + other.name + "\" and \"" + thread.name + "\" hang on the same needle",
+              "give each thread its own needle");
     }
     read_punctures(table, thread);
     read_length_program(table, thread);

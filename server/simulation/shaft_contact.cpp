@@ -14,15 +14,29 @@ constexpr double kSpacing_m = 0.5e-3;
 constexpr double kHole_m = 1.2e-3;
 // A point of the axis deeper inside than this is taken to be where it is by intent.
 constexpr double kDepthMax_m = 1.0e-3;
-// Along a surface every so many points stand for the stretch between them.
-constexpr int kStride = 4;
+// Along a surface every so many points stand for the stretch between them: always the same ones.
+constexpr int kStride = 2;
+// A touch of more force resists sliding sideways within a step, by its force over this length
+// (contact/tissue_contact.hpp: resistance).
+constexpr double kResistedForce_n = 5e-3;
+constexpr double kSlideLength_m = 1e-3;
 constexpr double kComplianceTimesModulus = 1e-4 * 2e5;
 
 std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
+/// Gives the last row `direction` at the touched point of the surface.
+void touch_surface(const needle::TissueView& view, const ShaftContact::Touch& touch,
+                   const Vec3& direction, constraints::ConstraintRows& rows) {
+  const auto& triangle = view.surface->triangles[at(touch.at.triangle)];
+  for (std::size_t a = 0; a < 3; ++a)
+    rows.touch(triangle[a], touch.at.barycentric[static_cast<Eigen::Index>(a)] * direction);
+}
+
 }  // namespace
 
 void ShaftContact::find(const TissueState& tissue, const NeedleBody& needle, double reach_m) {
+  const std::array<Touch, kRowsMax> before_now = touches_;
+  const std::span<const Touch> known(before_now.data(), count_);
   count_ = 0;
   const needle::TissueView view = tissue.view();
   const needle::Curve& curve = needle.curve();
@@ -46,8 +60,8 @@ void ShaftContact::find(const TissueState& tissue, const NeedleBody& needle, dou
     if (sample > last) return touch;
     touch.s = sample * kSpacing_m;
     touch.point_m = curve.point(pose, touch.s);
-    const auto nearest = view.tree->nearest(
-        touch.point_m, std::max(radius + reach_m, kDepthMax_m), view.positions_m);
+    const auto nearest = view.tree->nearest(touch.point_m, std::max(radius + reach_m, kDepthMax_m),
+                                            view.positions_m);
     if (!nearest || in_hole(touch.s)) return touch;
     const Vec3 face = needle::normal(view, nearest->triangle);
     const Vec3 away = touch.point_m - nearest->closest.point_m;
@@ -62,19 +76,19 @@ void ShaftContact::find(const TissueState& tissue, const NeedleBody& needle, dou
       touch.gap_m = distance - radius;
     }
     if (touch.gap_m > reach_m) touch.gap_m = kFar;
+    const auto then = std::find_if(known.begin(), known.end(),
+                                   [&](const Touch& t) { return t.sample == sample; });
+    if (then != known.end()) touch.force_n = then->force_n;
     return touch;
   };
-  int since = kStride;
   next = look(0);
   for (int sample = 0; sample <= last; ++sample) {
     before = now;
     now = next;
     next = look(sample + 1);
-    ++since;
     if (now.gap_m == kFar) continue;
     const bool nearest = now.gap_m <= before.gap_m && now.gap_m < next.gap_m;
-    if (!nearest && since < kStride) continue;
-    since = 0;
+    if (!nearest && sample % kStride != 0) continue;
     if (count_ < kRowsMax) {
       touches_[count_++] = now;
       continue;
@@ -100,10 +114,19 @@ void ShaftContact::add_rows(const TissueState& tissue, const NeedleBody& needle,
               static_cast<std::uint64_t>(touch.sample);
     row.needle = needle_index;
     row.needle_jacobian = -needle.jacobian(touch.point_m, touch.normal);
-    const auto& triangle = view.surface->triangles[at(touch.at.triangle)];
-    for (std::size_t a = 0; a < 3; ++a)
-      rows.touch(triangle[a],
-                 -touch.at.barycentric[static_cast<Eigen::Index>(a)] * touch.normal);
+    touch_surface(view, touch, -touch.normal, rows);
+  }
+  // Sideways, where a shaft that is pressed hard would roll off within one step.
+  for (const Touch& touch : touches()) {
+    if (touch.force_n <= kResistedForce_n) continue;
+    const Vec3 aside =
+        touch.normal.cross(needle.curve().tangent(needle.pose(), touch.s)).normalized();
+    constraints::Row& row =
+        rows.add(constraints::Bounds::bilateral(), -aside.dot(needle::position(view, touch.at)),
+                 kSlideLength_m / touch.force_n);
+    row.needle = needle_index;
+    row.needle_jacobian = -needle.jacobian(touch.point_m, aside);
+    touch_surface(view, touch, -aside, rows);
   }
 }
 

@@ -2,8 +2,8 @@
 // The needle's shaft against tissue from outside: it does not pass through a wall.
 //
 // The shaft is a tube of the needle's radius r about its axis. Points of the axis, kSpacing_m
-// apart, look for the nearest point x of the surface; where one is nearer than its neighbours, or
-// lies along a surface, it is a normal-only unilateral row
+// apart, look for the nearest point x of the surface; where one is nearer than its neighbours, and
+// for every other point that is near, it is a normal-only unilateral row
 //
 //     gap = n · (p(s) − x) − r ≥ 0,   λ ≥ 0        n from x to p(s)
 //
@@ -25,12 +25,12 @@ class NeedleBody;
 /// Thread: simulation. Allocates: never.
 class ShaftContact {
  public:
-  static constexpr std::size_t kRowsMax = 12;
+  static constexpr std::size_t kRowsMax = 28;
   struct Touch {
     int sample = 0;
     double s = 0.0;
-    Vec3 point_m = Vec3::Zero();   ///< on the axis
-    Vec3 normal = Vec3::UnitZ();   ///< from the surface to the axis
+    Vec3 point_m = Vec3::Zero();  ///< on the axis
+    Vec3 normal = Vec3::UnitZ();  ///< from the surface to the axis
     needle::BoundaryPoint at;
     double gap_m = 0.0;
     double force_n = 0.0;

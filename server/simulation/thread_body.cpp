@@ -203,8 +203,7 @@ void ThreadBody::build_chain(const TissueState& tissue, std::span<const NeedleBo
     // A span is named after what holds it on the head's side.
     const auto name =
         chain_[at(i)].kind == Kind::kTool ? 16 + static_cast<std::uint64_t>(chain_[at(i)].body) : 2;
-    if (before >= 0)
-      add_span(before, i, chain_[at(i)].arc_m - chain_[at(before)].arc_m, name);
+    if (before >= 0) add_span(before, i, chain_[at(i)].arc_m - chain_[at(before)].arc_m, name);
     before = i;
   }
 }
@@ -259,8 +258,7 @@ void ThreadBody::drop_bite(bool at_tail, std::span<NeedleBody> needles) {
 
 /// Draws thread from free ends as the spans need it, and unthreads what they have passed.
 void ThreadBody::feed(const TissueState& tissue, std::span<NeedleBody> needles,
-                      std::span<const ToolBody> tools, double time_s,
-                      std::vector<Event>& events) {
+                      std::span<const ToolBody> tools, double time_s, std::vector<Event>& events) {
   if (description_.ends == scene::ThreadEnds::kNone) return;
   const auto pull = [&](bool at_tail) {
     while (bite_count() > 0) {
@@ -280,8 +278,8 @@ void ThreadBody::feed(const TissueState& tissue, std::span<NeedleBody> needles,
         if (chain_[at(k)].puncture) first = k;
       }
       if (first < 0 || (at_tail ? hold <= first : hold >= first)) return;  // held before it
-      const double arc = at_tail ? chain_[at(hold)].arc_m
-                                 : description_.length_m - chain_[at(hold)].arc_m;
+      const double arc =
+          at_tail ? chain_[at(hold)].arc_m : description_.length_m - chain_[at(hold)].arc_m;
       const double used = at_tail ? counted_length_m(first, hold) : counted_length_m(hold, first);
       double& out = at_tail ? tail_out_m_ : head_out_m_;
       out = ends_known_ ? std::min(out, arc - used) : arc - used;
@@ -340,7 +338,7 @@ void ThreadBody::draw() {
     };
     if (n == 0) return;
     // The tail's end, hanging.
-    double arc = first == 0                 ? chain_[0].arc_m
+    double arc = first == 0                                      ? chain_[0].arc_m
                  : description_.tail == scene::ThreadTail::kFree ? tail_out_m_
                                                                  : 0.0;
     if (first > 0 && bite_count() > 0 && !std::isfinite(arc)) arc = 0.0;
@@ -365,9 +363,8 @@ void ThreadBody::draw() {
               std::min({kSagMax_m, 0.5 * whole, std::sqrt(0.375 * whole * (whole - piece))});
           for (int k = 1; k < kSagPieces; ++k) {
             const double t = static_cast<double>(k) / kSagPieces;
-            add(point.position_m + t * d + 4.0 * t * (1.0 - t) * depth * hanging_,
-                arc + t * whole, point.bites_before + (point.puncture && !point.inward ? 1 : 0),
-                tension);
+            add(point.position_m + t * d + 4.0 * t * (1.0 - t) * depth * hanging_, arc + t * whole,
+                point.bites_before + (point.puncture && !point.inward ? 1 : 0), tension);
           }
         }
         piece = whole;
@@ -388,8 +385,8 @@ void ThreadBody::draw() {
   double arc = 0.0;
   for (int i = 0; i < n; ++i) {
     const Point& point = chain_[at(i)];
-    drawn_.push_back({point.position_m, arc, point.bites_before,
-                      spans_.empty() ? 0.0 : spans_[0].tension_n});
+    drawn_.push_back(
+        {point.position_m, arc, point.bites_before, spans_.empty() ? 0.0 : spans_[0].tension_n});
     if (i + 1 < n) arc += (chain_[at(i + 1)].position_m - point.position_m).norm();
   }
 }
@@ -439,8 +436,7 @@ void ThreadBody::add_rows(std::span<const NeedleBody> needles, std::span<const T
         }
       }
     }
-    double length = 0.0, bound = description_.tension_max_n,
-           compliance = kLengthCompliance_m_per_n;
+    double length = 0.0, bound = description_.tension_max_n, compliance = kLengthCompliance_m_per_n;
     int pieces = 0;
     for (const int end : {span.first, span.last}) {
       const Point& hold = chain_[at(end)];
@@ -469,7 +465,8 @@ void ThreadBody::add_rows(std::span<const NeedleBody> needles, std::span<const T
         }
       }
       const Vec3 gradient = gradient_after - gradient_before;  // of the gap
-      if (!gradient.isZero()) touch(rows, row, chain_[at(i)], gradient, needles, tools, tissue_part);
+      if (!gradient.isZero())
+        touch(rows, row, chain_[at(i)], gradient, needles, tools, tissue_part);
       gradient_before = gradient_after;
     }
     const double gap = std::max(span.length_m - length, -kShorteningMax_m * pieces);
@@ -492,8 +489,7 @@ void ThreadBody::commit(const ConstraintRows& rows, std::span<const double> lamb
       int slipping = -1;
       for (const int end : {span.first, span.last}) {
         const Point& hold = chain_[at(end)];
-        if (hold.kind == Kind::kTool &&
-            tools_bound(hold.body) <= rows[span.row].bounds.upper_n)
+        if (hold.kind == Kind::kTool && tools_bound(hold.body) <= rows[span.row].bounds.upper_n)
           slipping = end;
       }
       if (slipping >= 0) {
@@ -502,11 +498,10 @@ void ThreadBody::commit(const ConstraintRows& rows, std::span<const double> lamb
             hold.arc_m += slipping == span.last ? span.overlength_m : -span.overlength_m;
       }
       if (!span.clamped)
-        events.push_back({slipping >= 0 ? EventKind::kGripSlip : EventKind::kLimit, time_s,
-                          slipping >= 0 ? scene_->tools[at(chain_[at(slipping)].body)].name
-                                        : description_.name,
-                          slipping >= 0 ? description_.name : std::string(), place,
-                          span.tension_n});
+        events.push_back(
+            {slipping >= 0 ? EventKind::kGripSlip : EventKind::kLimit, time_s,
+             slipping >= 0 ? scene_->tools[at(chain_[at(slipping)].body)].name : description_.name,
+             slipping >= 0 ? description_.name : std::string(), place, span.tension_n});
       span.clamped = true;
     } else if (span.tension_n < 0.9 * rows[span.row].bounds.upper_n) {
       span.clamped = false;

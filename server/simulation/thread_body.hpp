@@ -41,8 +41,8 @@ class ToolBody;
 struct ThreadGrasp {
   double distance_m = 0.0;
   Vec3 point_m = Vec3::Zero();
-  double arc_m = 0.0;     ///< along the thread from its tail
-  int bites_before = 0;   ///< bites between it and the tail
+  double arc_m = 0.0;    ///< along the thread from its tail
+  int bites_before = 0;  ///< bites between it and the tail
 };
 
 /// Thread: simulation. Allocates: when a thread's course grows longer than ever before.
@@ -91,12 +91,12 @@ class ThreadBody {
     int body = -1;  ///< tissue, tool or needle
     Vec3 position_m = Vec3::Zero();
     bool hold = false;
-    double arc_m = 0.0;         ///< of a hold, from the tail
+    double arc_m = 0.0;  ///< of a hold, from the tail
     bool puncture = false;
-    bool inward = false;        ///< of a puncture: from tail to head it enters
+    bool inward = false;  ///< of a puncture: from tail to head it enters
     int bites_before = 0;
-    bool inside_next = false;   ///< the piece to the next point lies in tissue
-    bool pulls_next = true;     ///< that piece carries tension to its ends
+    bool inside_next = false;     ///< the piece to the next point lies in tissue
+    bool pulls_next = true;       ///< that piece carries tension to its ends
     double fixed_length_m = 0.0;  ///< what it counts for where it does not
   };
   struct Span {
@@ -149,7 +149,7 @@ class ThreadBody {
   std::vector<Span> spans_, previous_spans_;
   std::vector<Drawn> drawn_;
   double tail_out_m_ = 0.0, head_out_m_ = 0.0;  ///< before the first and behind the last puncture
-  bool ends_known_ = false;  ///< the free ends' lengths were set when a first bite was made
+  bool ends_known_ = false;     ///< the free ends' lengths were set when a first bite was made
   double rest_length_m_ = 0.0;  ///< of the counted pieces, for a thread without ends
   Vec3 hanging_ = -Vec3::UnitZ();
   bool world_changed_ = false;

@@ -156,7 +156,8 @@ struct StepReport {
   double complementarity_residual = 0.0;  ///< dimensionless: see SolveReport::residual
   int inverted_tets = 0;  ///< most at once, in the equilibria whose displacements are known
   int contact_pairs = 0;  ///< in reach, of which `contacts` carry force
-  std::int64_t track_ns = 0, contact_ns = 0, assemble_ns = 0, solve_ns = 0, backward_ns = 0, model_ns = 0;
+  std::int64_t track_ns = 0, contact_ns = 0, assemble_ns = 0, solve_ns = 0, backward_ns = 0,
+               model_ns = 0;
 };
 
 }  // namespace sutured::simulation
