@@ -135,7 +135,7 @@ struct Simulation::State {
     for (NeedleBody& needle : needles) needle.add_rows(tissue, rows);
     for (ToolBody& tool : tools) tool.add_rows(tissue, needles, kReach_m, rows);
     for (ThreadBody& thread : threads) thread.add_rows(needles, tools, rows);
-    if (contact) contact->add_rows(tissue.positions_m(), rows);
+    if (contact) contact->add_rows(rows);
   }
 
   /// Named rows start as they ended the last solve, all others without force.
