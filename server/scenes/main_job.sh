@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: GPL-3.0-or-later
-# The main job: a server with a scene, and in a process of its own a device that plays a recorded surgeon over
-# DDS and feels the forces. Leaves plot, log and summary in $OUT, and ends with 0 if everything did.
+# The main job: a server with a scene, and in a process of its own the devices that play a recorded surgeon's
+# tools over DDS and feel the forces. Leaves plot, log and summary in $OUT, and ends with 0 if everything did.
 #
 #   BIN=build/release SCENE=…/scene.toml SURGEON=…/surgeon.csv OUT=out/run server/scenes/main_job.sh
 set -euo pipefail
@@ -14,8 +14,8 @@ server=$!
 trap 'kill -INT $server 2>/dev/null || true; wait $server 2>/dev/null || true' EXIT
 
 echo "viewers and recorders join on DDS domain $((domain + 1)); rates and latencies: suture top --domain $domain"
-# The device waits for the server by itself, and says why if none comes.
-"$BIN/client-sdk/cli/suture" device --tool driver --surgeon "$SURGEON" --domain "$domain" --timeout 20 \
+# It waits for the server by itself, and says why if none comes.
+"$BIN/client-sdk/cli/suture" device --surgeon "$SURGEON" --domain "$domain" --timeout 20 \
   --log "$OUT/forces.csv" --plot "$OUT/force.svg" --summary "$OUT/summary.json" || {
   echo "--- server log:"; cat "$OUT/server.log"; exit 1; }
 
