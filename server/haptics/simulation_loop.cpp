@@ -6,6 +6,7 @@
 #include <exception>
 #include <utility>
 
+#include "haptics/display_copies.hpp"
 #include "haptics/model_builder.hpp"
 #include "haptics/realtime.hpp"
 #include "haptics/supervisor.hpp"
@@ -31,6 +32,10 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
       frame.von_mises_pa.emplace_back(body.surface_vertices.size());
     }
     frame.needles.resize(simulation_.needles().size());
+    frame.threads.resize(simulation_.threads().size());
+    for (simulation::ThreadState& thread : frame.threads) reserve_thread(thread);
+    frame.contacts.reserve(kShownContactsMax);
+    frame.held.resize(channels_.size());
   });
   begin_epoch();
   thread_ = std::thread([this] { run(); });
@@ -162,6 +167,11 @@ void SimulationLoop::publish_frame() {
     }
   }
   std::copy(simulation_.needles().begin(), simulation_.needles().end(), frame.needles.begin());
+  for (std::size_t t = 0; t < frame.threads.size(); ++t)
+    copy_thread(simulation_.threads()[t], frame.threads[t]);
+  copy_contacts(simulation_.contacts(), frame.contacts);
+  for (std::size_t i = 0; i < frame.held.size(); ++i)
+    frame.held[i] = simulation_.responses()[i].held;
   frames_.publish();
 }
 

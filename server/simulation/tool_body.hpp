@@ -50,6 +50,7 @@ class ToolBody {
   [[nodiscard]] const ToolInput& input() const { return input_; }
   [[nodiscard]] int needle() const { return held_ == Held::kNeedle ? needle_ : -1; }
   [[nodiscard]] bool holds() const { return held_ != Held::kNothing; }
+  [[nodiscard]] HeldThing held(const TissueState& tissue) const;
   [[nodiscard]] const Vec6& wrench() const { return wrench_; }
   [[nodiscard]] const Eigen::Matrix3d& arm_moment() const { return arm_moment_; }
   [[nodiscard]] bool touching() const { return touching_; }
