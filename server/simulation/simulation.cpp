@@ -283,6 +283,7 @@ struct Simulation::State {
       response_builder.build(rows, solver, lambda, needles, tools[i], static_cast<int>(i),
                              responses[i]);
       responses[i].world_changed = responses[i].world_changed || changed;
+      responses[i].held = tools[i].held(tissue);
       report.contacts += tools[i].contacts();
     }
     report.model_ns += since(start);
