@@ -65,6 +65,8 @@ class ScenePublisher {
   void publish_topology();
   void publish_frame(const haptics::DisplayFrame& frame);
   void publish_needles(const haptics::DisplayFrame& frame);
+  void publish_threads(const haptics::DisplayFrame& frame);
+  void publish_contacts(const haptics::DisplayFrame& frame);
   void publish_tools(const haptics::DisplayFrame& frame);
   void publish_status(suture_v1_ServerState state, const std::string& reason);
   void publish_events(std::int64_t now_ns);
@@ -88,10 +90,14 @@ class ScenePublisher {
   suture::Writer<suture::v1::MeshFrame> frames_;
   suture::Writer<suture::v1::ToolView> tools_;
   suture::Writer<suture::v1::NeedleState> needles_;
+  suture::Writer<suture::v1::ThreadState> threads_;
+  suture::Writer<suture::v1::ContactState> contacts_;
 
   std::vector<Told> told_;
   std::vector<suture::v1::ToolStatus> tool_status_;
   std::vector<double> course_m_;
+  std::vector<suture::v1::Puncture> punctures_;
+  std::vector<suture::v1::ContactPoint> contact_points_;
   std::vector<PendingReset> resets_;
   simulation::StepReport report_;  // of the last frame
   std::uint64_t status_sequence_ = 0, event_sequence_ = 0, frame_sequence_ = 0;

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "fem/elements.hpp"
+#include "haptics/display_copies.hpp"
 #include "haptics/model_builder.hpp"
 #include "haptics/realtime.hpp"
 #include "haptics/supervisor.hpp"
@@ -33,6 +34,10 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
       frame.principal_pa.emplace_back(3 * body.surface_vertices.size());
     }
     frame.needles.resize(simulation_.needles().size());
+    frame.threads.resize(simulation_.threads().size());
+    for (simulation::ThreadState& thread : frame.threads) reserve_thread(thread);
+    frame.contacts.reserve(kShownContactsMax);
+    frame.held.resize(channels_.size());
   });
   begin_epoch();
   thread_ = std::thread([this] { run(); });
@@ -168,6 +173,11 @@ void SimulationLoop::publish_frame() {
     }
   }
   std::copy(simulation_.needles().begin(), simulation_.needles().end(), frame.needles.begin());
+  for (std::size_t t = 0; t < frame.threads.size(); ++t)
+    copy_thread(simulation_.threads()[t], frame.threads[t]);
+  copy_contacts(simulation_.contacts(), frame.contacts);
+  for (std::size_t i = 0; i < frame.held.size(); ++i)
+    frame.held[i] = simulation_.responses()[i].held;
   frames_.publish();
 }
 

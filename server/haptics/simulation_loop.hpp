@@ -29,6 +29,9 @@ struct DisplayFrame {
   std::vector<std::vector<float>> von_mises_pa;  ///< per body, 1 per surface vertex
   std::vector<std::vector<float>> principal_pa;  ///< per body, 3 per surface vertex, largest first
   std::vector<simulation::NeedleState> needles;
+  std::vector<simulation::ThreadState> threads;    ///< as far as `display_copies.hpp` lets them
+  std::vector<simulation::ContactPoint> contacts;  ///< likewise
+  std::vector<simulation::HeldThing> held;         ///< per tool
 };
 
 /// One tool's model, and what a device needs beside it to render it itself.

@@ -138,6 +138,20 @@ struct Thread {
   std::vector<TimedLength> length_program;  ///< ascending times; empty for none
 };
 
+/// One side of a wound: a part of a tissue's surface.
+struct WoundEdge {
+  int tissue = -1;  ///< index into Scene::tissues
+  std::string group;
+  std::vector<geometry::Triangle> triangles;  ///< of the tissue's mesh
+  std::vector<std::int32_t> vertices;         ///< used by `triangles`, sorted
+};
+
+/// Two edges that are to be sewn together: what the gap is measured between.
+struct Wound {
+  std::string name;
+  std::array<WoundEdge, 2> edges;
+};
+
 struct Contact {
   bool enabled = true;
 };
@@ -151,6 +165,7 @@ struct Scene {
   std::vector<Needle> needles;
   std::vector<Thread> threads;
   std::vector<Tool> tools;
+  std::vector<Wound> wounds;
   Contact contact;
   std::vector<std::string> notes;  ///< what a reader of the scene should know, a sentence each
 };

@@ -25,6 +25,7 @@
 #include "support/test_session.hpp"
 #include "suture/device.hpp"
 #include "suture/session.hpp"
+#include "suture/viewer.hpp"
 
 namespace sutured {
 namespace {
@@ -555,6 +556,57 @@ TEST_F(Serve, ObeysPauseResumeStopAndReset) {
     EXPECT_TRUE(saw_event(kind)) << kind;
   expect_within_limits(watcher_.all());
   EXPECT_THROW(session.command(suture::CommandKind::kReleaseTool, "spoon"), suture::Error);
+}
+
+TEST_F(Serve, ShowsThreadsContactsAndWhatAJawHolds) {
+  std::ofstream(scene_, std::ios::app) << R"(
+[[needle]]
+name = "needle"
+pose = { position_m = [0.01, 0.01, 0.06], orientation = [0, 0, 0, 1] }
+[[thread]]
+name = "thread"
+needle = "needle"
+tail = "free"
+[[tool]]
+name = "forceps"
+)";
+  start_server();
+  std::mutex mutex;
+  std::string thread, holding;
+  std::uint64_t contacts_step = 0, contacts = 0;
+  suture::ViewerCallbacks callbacks;
+  callbacks.on_thread = [&](const suture::ThreadView& view) {
+    const std::lock_guard lock(mutex);
+    thread = view.thread;
+  };
+  callbacks.on_contacts = [&](const suture::ContactsView& view) {
+    const std::lock_guard lock(mutex);
+    ++contacts;
+    contacts_step = view.step;
+  };
+  callbacks.on_tool = [&](const suture::ToolView& view) {
+    const std::lock_guard lock(mutex);
+    if (view.tool == "forceps") holding = view.holding;
+  };
+  suture::SessionOptions options;
+  options.domain = session_.domain;
+  options.session = session_.session;
+  options.timeout = std::chrono::seconds(20);
+  suture::Viewer viewer(options, callbacks);
+  RawDevice forceps(session_, "forceps");
+  forceps.move_to(0.011, 0.009, kSurface_m);
+  const auto holds = [&](const std::string& what) {
+    return eventually([&] {
+      const std::lock_guard lock(mutex);
+      return holding == what && thread == "thread" && contacts > 1 && contacts_step > 0;
+    });
+  };
+  EXPECT_TRUE(holds(""));
+  forceps.spoil([](suture::v1::ToolPose& pose) { pose.jaw = 1.0F; });  // it closes
+  EXPECT_TRUE(holds("block"));
+  forceps.spoil(nullptr);
+  EXPECT_TRUE(holds(""));
+  viewer.close();
 }
 
 }  // namespace

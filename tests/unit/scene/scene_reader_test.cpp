@@ -20,6 +20,7 @@ using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 using ::testing::SizeIs;
 using ::testing::StartsWith;
 
@@ -217,6 +218,24 @@ TEST_F(SceneReader, ReadsThreadsAndSaysThatTheyAreNotSimulatedYet) {
   EXPECT_THAT(scene.notes, Contains(HasSubstr("thread \"t\" is read and checked, but")));
 }
 
+TEST_F(SceneReader, ReadsTheEdgesOfAWound) {
+  // A second tissue of the same mesh: "base" bounds them both.
+  const Scene scene = read(std::string(kTissue) + kFixed +
+                           "[[tissue]]\nname = \"graft\"\nmesh = \"a.msh\"\nscale = 0.01\n"
+                           "young_modulus_pa = 1\npoisson_ratio = 0\nfixed = [\"foot\"]\n"
+                           "[[wound]]\nname = \"cut\"\nedges = [{ tissue = \"graft\", group = "
+                           "\"base\" }, { tissue = \"flap\", group = \"base\" }]\n");
+  ASSERT_THAT(scene.wounds, SizeIs(1));
+  EXPECT_EQ(scene.wounds[0].name, "cut");
+  EXPECT_EQ(scene.wounds[0].edges[0].tissue, 1);
+  EXPECT_EQ(scene.wounds[0].edges[1].tissue, 0);
+  for (const WoundEdge& edge : scene.wounds[0].edges) {
+    EXPECT_EQ(edge.group, "base");
+    ASSERT_THAT(edge.triangles, SizeIs(1));
+    EXPECT_THAT(edge.vertices, ElementsAre(0, 1, 2));
+  }
+}
+
 TEST_F(SceneReader, ReadsTheCommittedScene) {
   const Scene scene =
       read_scene(std::string(SUTURED_SOURCE_DIR) + "/server/scenes/anastomosis/scene.toml");
@@ -225,6 +244,8 @@ TEST_F(SceneReader, ReadsTheCommittedScene) {
   EXPECT_THAT(scene.tissues[0].mesh.tets, SizeIs(3240));
   EXPECT_THAT(scene.tissues[1].mesh.vertices_m, SizeIs(720));
   EXPECT_THAT(scene.tissues[1].mesh.tets, SizeIs(2592));
+  ASSERT_THAT(scene.wounds, SizeIs(1));
+  for (const WoundEdge& edge : scene.wounds[0].edges) EXPECT_THAT(edge.vertices, Not(IsEmpty()));
   EXPECT_THAT(scene.notes, IsEmpty());
 }
 
@@ -237,7 +258,33 @@ TEST_F(SceneReader, NamesThePlaceAndTheMendOfEveryFault) {
   const std::string needle = "[[needle]]\nname = \"n\"\n";
   const std::string tool = "[[tool]]\nname = \"d\"\n";
   const std::string thread = needle + "[[thread]]\nname = \"t\"\nneedle = \"n\"\n";
+  const std::string wound = "[[wound]]\nname = \"w\"\n";  // lines 9 and 10
+  const std::string edge = "{ tissue = \"flap\", group = \"base\" }";
   const std::vector<BadScene> scenes{
+      {"[[wound]]\nedges = []\n", "s.toml:9:1: [[wound]] has no name"},
+      {wound, "s.toml:9:1: [[wound]] \"w\" has no edges; write edges = [{ tissue = "},
+      {wound + "edges = 3\n", "s.toml:11:9: edges of [[wound]] \"w\" is not a list"},
+      {wound + "edges = [" + edge + "]\n", "s.toml:11:9: [[wound]] \"w\" has 1 edge; write two"},
+      {wound + "edges = [" + edge + ", " + edge + ", " + edge + "]\n",
+       "s.toml:11:9: [[wound]] \"w\" has 3 edges; write two"},
+      {wound + "edges = [" + edge + ", \"base\"]\n",
+       "s.toml:11:47: an entry of edges of [[wound]] \"w\" is not a table"},
+      {wound + "edges = [" + edge + ", " + edge + "]\n",
+       "s.toml:11:9: both edges of [[wound]] \"w\" are the same"},
+      {wound + "edges = [" + edge + ", { tissue = \"flop\", group = \"base\" }]\n",
+       "s.toml:11:58: an edge of [[wound]] \"w\" is in tissue \"flop\", which is not in the scene, "
+       "did you mean \"flap\"?"},
+      {wound + "edges = [" + edge + ", { tissue = \"flap\", group = \"foot\" }]\n",
+       "s.toml:11:74: the mesh of tissue \"flap\" has no group \"foot\" of dimension 2; it has "
+       "base"},
+      {wound + "edges = [" + edge + ", { group = \"base\" }]\n",
+       "s.toml:11:47: an edge of [[wound]] \"w\" has no tissue"},
+      {wound + "edges = [" + edge + ", { tissue = \"flap\" }]\n",
+       "s.toml:11:47: an edge of [[wound]] \"w\" has no group"},
+      {wound + "edges = [{ tissue = \"flap\", group = \"base\", box = 1 }, 1]\n",
+       "s.toml:11:45: unknown key \"box\" in an edge of [[wound]] \"w\""},
+      {"[[wound]]\nedges = [" + edge + ", 1]\nname = \"a b\"\n",
+       "s.toml:10:47: an entry of edges of [[wound]] \"a b\""},
       {"puncture_force = 1\n",
        "s.toml:9:1: unknown key \"puncture_force\" in [[tissue]] \"flap\", did you mean "
        "\"puncture_force_n\"?; correct or delete it"},

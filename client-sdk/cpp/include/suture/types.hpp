@@ -169,7 +169,19 @@ struct NeedleView {
   std::vector<Puncture> punctures;
 };
 
-/// A thread, in the world. `course_m` holds 3 numbers a point from head to tail.
+/// What rules an end of a thread.
+enum class ThreadEnd {
+  kFree,
+  kSwaged,    ///< crimped into a needle
+  kHeld,      ///< in a tool's jaw
+  kAnchored,  ///< knotted to a body
+};
+
+/// Returns a word for `end`, such as "swaged".
+__attribute__((visibility("default"))) const char* name_of(ThreadEnd end) noexcept;
+
+/// A thread, in the world. `course_m` holds 3 numbers a point from head to tail; the head is
+/// where the needle is, or was.
 struct ThreadView {
   std::string_view thread;
   std::uint64_t epoch = 0;
@@ -179,9 +191,32 @@ struct ThreadView {
   double tension_n = 0.0;
   double slack_m = 0.0;
   bool taut = false;
+  ThreadEnd head = ThreadEnd::kFree;
+  ThreadEnd tail = ThreadEnd::kFree;
+  std::string_view head_holder;  ///< tool, needle or body; empty for a free end
+  std::string_view tail_holder;
   std::span<const double> course_m;
-  std::span<const double> segment_tension_n;
+  std::span<const double> arc_length_m;       ///< per point of the course, from the head
+  std::span<const double> segment_tension_n;  ///< per pair of neighbours
   std::vector<Puncture> punctures;
+};
+
+/// A pair in contact: of two bodies, or of a needle's shaft and a body.
+struct ContactPoint {
+  Vector3 position_m{};
+  Vector3 normal{};  ///< unit, out of `body`
+  double force_n = 0.0;
+  double gap_m = 0.0;
+  std::string_view body;
+  std::string_view other;  ///< body, tool or needle
+};
+
+/// All pairs that carry force in one step, in the world; none is an empty list.
+struct ContactsView {
+  std::uint64_t epoch = 0;
+  std::int64_t stamp_ns = 0;
+  std::uint64_t step = 0;
+  std::vector<ContactPoint> points;
 };
 
 /// Something that happened. `kind` is a lower-case word such as "puncture".
