@@ -2,6 +2,7 @@
 // `sutured run` as a user runs it: the main scene, its surgeon, its files.
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <string>
@@ -65,6 +66,24 @@ TEST(RunCommand, TheCourseOfTheNeedleDoesNotDependOnTheRate) {
     EXPECT_GT(summary["tools"]["driver"]["peak_force_n"].get<double>(), 0.05);
     EXPECT_LT(summary["tools"]["driver"]["peak_force_n"].get<double>(), 0.2);
   }
+}
+
+/// The rims are rings of 4.5 to 6 mm and 3.5 to 5 mm, 1.5 mm apart: the outermost vertices lie 1 mm
+/// beside the other ring.
+TEST(RunCommand, TheSummaryTellsTheGapOfTheWound) {
+  const testing::TemporaryFolder folder;
+  const auto result =
+      run({kScene, "--surgeon", kSurgeon, "--out", folder.path("out"), "--rate", "60"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
+  ASSERT_TRUE(summary["quality"].is_object());
+  const auto& wound = summary["wound"]["anastomosis"];
+  EXPECT_NEAR(wound["gap_at_rest"]["max_m"].get<double>(), std::hypot(1.5e-3, 1e-3), 5e-5);
+  EXPECT_GT(wound["gap_at_rest"]["mean_m"].get<double>(), 1.5e-3);
+  EXPECT_LT(wound["gap_at_rest"]["mean_m"].get<double>(),
+            wound["gap_at_rest"]["max_m"].get<double>());
+  EXPECT_GT(wound["gap"]["max_m"].get<double>(), 1e-3);
+  EXPECT_NE(wound["gap"], wound["gap_at_rest"]);  // the needle is in both walls
 }
 
 TEST(RunCommand, FaultsAreOneClearError) {
