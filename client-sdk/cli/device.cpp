@@ -610,6 +610,7 @@ int run_device(const DeviceArguments& arguments) {
   const Surgeon surgeon = read_surgeon(arguments.surgeon);
   const std::vector<const SurgeonTrack*> tracks = choose_tracks(surgeon, arguments);
   std::vector<std::string> tools;
+  tools.reserve(tracks.size());
   for (const SurgeonTrack* track : tracks) tools.push_back(track->tool);
   ForceLog log(arguments.log, tools);
   const Outcome outcome = play(arguments, tracks, tools, log);

@@ -19,6 +19,7 @@
 #include "needle/curve.hpp"
 #include "protocol/surgeon.hpp"
 #include "scene/scene_reader.hpp"
+#include "simulation/quality.hpp"
 #include "simulation/simulation.hpp"
 
 namespace sutured::commands {
@@ -232,6 +233,56 @@ nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
   return summary;
 }
 
+nlohmann::json to_json(const geometry::Vec3& x) { return {x[0], x[1], x[2]}; }
+
+/// Figures that do not exist are null.
+nlohmann::json to_json(const simulation::WoundGap& gap) {
+  return {{"mean_m", gap.mean_m}, {"max_m", gap.max_m}};
+}
+
+nlohmann::json to_json(const simulation::Spread& spread) {
+  return {{"mean", spread.mean}, {"standard_deviation", spread.deviation}};
+}
+
+/// Per thread what `suture/quality` says of it.
+nlohmann::json summarise_quality(const scene::Scene& scene, const simulation::QualityMeter& meter) {
+  nlohmann::json threads = nlohmann::json::object();
+  for (std::size_t t = 0; t < scene.threads.size(); ++t) {
+    const simulation::ThreadQuality& quality = meter.threads()[t];
+    nlohmann::json bites = nlohmann::json::array();
+    for (const simulation::BiteFigures& bite : quality.bites)
+      bites.push_back({{"tissue", scene.tissues[static_cast<std::size_t>(bite.tissue)].name},
+                       {"entry_m", to_json(bite.entry_m)},
+                       {"exit_m", to_json(bite.exit_m)},
+                       {"depth_m", bite.depth_m},
+                       {"edge_distance_m", bite.edge_distance_m},
+                       {"spacing_m", bite.spacing_m},
+                       {"peak_force_n", bite.peak_force_n}});
+    threads[scene.threads[t].name] = {
+        {"elapsed_s", quality.elapsed_s},
+        {"needle_path_m", quality.needle_path_m},
+        {"peak_force_n", quality.peak_force_n},
+        {"peak_principal_stress_pa", quality.peak_principal_stress_pa},
+        {"gap_start_m", quality.gap_start.max_m},
+        {"gap_m", quality.gap.max_m},
+        {"tension_n", quality.tension_n},
+        {"bite_depth_m", to_json(quality.depth_m)},
+        {"bite_spacing_m", to_json(quality.spacing_m)},
+        {"handovers", quality.handovers},
+        {"needle_drops", quality.needle_drops},
+        {"bites", bites}};
+  }
+  return threads;
+}
+
+nlohmann::json summarise_wounds(const scene::Scene& scene, const simulation::QualityMeter& meter) {
+  nlohmann::json wounds = nlohmann::json::object();
+  for (std::size_t w = 0; w < scene.wounds.size(); ++w)
+    wounds[scene.wounds[w].name] = {{"gap_at_rest", to_json(meter.gaps_at_rest()[w])},
+                                    {"gap", to_json(meter.gaps()[w])}};
+  return wounds;
+}
+
 /// A bar on a terminal, nothing elsewhere.
 class Progress {
  public:
@@ -273,6 +324,7 @@ int run(const RunOptions& options) {
                              "; choose another --out");
 
   Simulation sim(scene);
+  simulation::QualityMeter meter(scene, sim);
   const double rate_hz = options.rate_hz > 0.0 ? options.rate_hz : scene.rate_hz;
   const double duration_s = options.duration_s > 0.0 ? options.duration_s : surgeon.end_s();
   const auto steps =
@@ -315,6 +367,7 @@ int run(const RunOptions& options) {
     for (std::size_t i = 0; i < inputs.size(); ++i)
       inputs[i] = input_at(tracks[i], std::min(time_s, duration_s));
     sim.step(inputs, 1.0 / rate_hz);
+    meter.watch(simulation::quality_view(sim));
     const auto& report = sim.report();
     residual_max = std::max(residual_max, report.complementarity_residual);
     inverted_tets_max = std::max(inverted_tets_max, report.inverted_tets);
@@ -352,11 +405,14 @@ int run(const RunOptions& options) {
   inverted_tets_max = std::max(inverted_tets_max, sim.report().inverted_tets);
   simulation::StressField stress;
   sim.compute_stress(stress);
+  meter.measure(simulation::quality_view(sim));
   write_vtk(options.out, sim, stress, scene.name);
   nlohmann::json summary =
       summarise(scene, sim, events, peak_force_n, peak_tension_n, tension_over_time, residual_max,
                 inverted_tets_max, steps, rate_hz);
   summary["stress"] = summarise_stress(sim, stress);
+  summary["quality"] = summarise_quality(scene, meter);
+  summary["wound"] = summarise_wounds(scene, meter);
   OutputFile summary_file(options.out, "summary.json");
   summary_file << summary.dump(2) << "\n";
   for (OutputFile* file :

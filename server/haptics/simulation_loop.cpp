@@ -15,6 +15,12 @@
 
 namespace sutured::haptics {
 
+namespace {
+
+constexpr std::int64_t kMeasurePeriod_ns = 500'000'000;
+
+}  // namespace
+
 SimulationLoop::SimulationLoop(simulation::Simulation simulation,
                                std::span<ToolChannel* const> channels, Options options)
     : simulation_(std::move(simulation)),
@@ -38,6 +44,10 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
     for (simulation::ThreadState& thread : frame.threads) reserve_thread(thread);
     frame.contacts.reserve(kShownContactsMax);
     frame.held.resize(channels_.size());
+    if (!options_.quality) return;
+    frame.quality.resize(simulation_.threads().size());
+    for (simulation::ThreadQuality& quality : frame.quality)
+      quality.bites.reserve(simulation::QualityMeter::kBitesMax);
   });
   begin_epoch();
   thread_ = std::thread([this] { run(); });
@@ -81,7 +91,8 @@ void SimulationLoop::run() noexcept {
         resets_done_ = asked;
         simulation_.reset();
         begin_epoch();
-        shown_ns_ = 0;
+        shown_ns_ = measured_ns_ = 0;
+        if (options_.quality) options_.quality->reset();
       }
       if (!paused())
         step(suture::monotonic_ns(),
@@ -114,9 +125,10 @@ void SimulationLoop::step(std::int64_t now_ns, double dt_s) {
   step_times_.record(suture::monotonic_ns() - now_ns);
   if (options_.models_published) options_.models_published();
   publish_events();
+  if (options_.quality) options_.quality->watch(simulation::quality_view(simulation_));
   if (now_ns - shown_ns_ >= display_period_ns_) {
     shown_ns_ = now_ns;
-    publish_frame();
+    publish_frame(now_ns);
   }
 }
 
@@ -148,7 +160,7 @@ void SimulationLoop::publish_events() {
     events_.push({epoch(), simulation_.report().step, event});
 }
 
-void SimulationLoop::publish_frame() {
+void SimulationLoop::publish_frame(std::int64_t now_ns) {
   simulation_.update_displacements();
   simulation_.compute_stress(stress_);
   DisplayFrame& frame = frames_.back();
@@ -178,6 +190,14 @@ void SimulationLoop::publish_frame() {
   copy_contacts(simulation_.contacts(), frame.contacts);
   for (std::size_t i = 0; i < frame.held.size(); ++i)
     frame.held[i] = simulation_.responses()[i].held;
+  if (options_.quality) {
+    if (now_ns - measured_ns_ >= kMeasurePeriod_ns) {
+      measured_ns_ = now_ns;
+      options_.quality->measure(simulation::quality_view(simulation_));
+    }
+    std::copy(options_.quality->threads().begin(), options_.quality->threads().end(),
+              frame.quality.begin());
+  }
   frames_.publish();
 }
 

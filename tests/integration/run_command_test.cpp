@@ -202,6 +202,22 @@ TEST(RunCommand, TheLastStateHoldsStressPerVertexAndPerTet) {
   }
 }
 
+/// The rims are rings of 4.5 to 6 mm and 3.5 to 5 mm, 1.5 mm apart: they face each other from 4.5 to
+/// 5 mm, and there the running suture closes them but for a part between its stitches.
+TEST(RunCommand, TheSummaryTellsTheGapOfTheWound) {
+  const testing::TemporaryFolder folder;
+  const auto result =
+      run({kScene, "--surgeon", kSurgeon, "--out", folder.path("out"), "--rate", "60"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
+  ASSERT_TRUE(summary["quality"].is_object());
+  const auto& wound = summary["wound"]["anastomosis"];
+  EXPECT_NEAR(wound["gap_at_rest"]["max_m"].get<double>(), 1.5e-3, 1e-5);
+  EXPECT_NEAR(wound["gap_at_rest"]["mean_m"].get<double>(), 1.5e-3, 1e-5);
+  EXPECT_LT(wound["gap"]["mean_m"].get<double>(), 0.5e-3);
+  EXPECT_GE(wound["gap"]["max_m"].get<double>(), wound["gap"]["mean_m"].get<double>());
+}
+
 TEST(RunCommand, FaultsAreOneClearError) {
   const testing::TemporaryFolder folder;
   const auto missing = run({"nowhere.toml", "--surgeon", kOneBite, "--out", folder.path("out")});
