@@ -7,7 +7,8 @@ BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
   libopenblas-serial-dev libsuitesparse-dev libeigen3-dev \
   cyclonedds-dev cyclonedds-tools libboost1.81-dev libspdlog-dev \
   libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev
-TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx
+PICTURE_PACKAGES := python3-matplotlib python3-numpy
+TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx $(PICTURE_PACKAGES)
 MESH_PACKAGES := gmsh
 CHECK_PACKAGES := clang clang-format clang-tidy libclang-rt-14-dev
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
@@ -45,8 +46,17 @@ DOMAIN ?= 0
 PREFIX ?= /usr/local
 
 .PHONY: run
-run: build ## Run the main job: server, a device that plays a surgeon over DDS, plot and summary
+run: build ## Run the main job: server, devices that play a surgeon's hands over DDS, plot and summary
 	@BIN=$(BIN) SCENE=$(SCENE) SURGEON=$(SURGEON) OUT=$(RUN_DIR) DOMAIN=$(DOMAIN) server/scenes/main_job.sh
+
+# Without RUN: the last `make run` where it left a final state, or else the same scene played offline.
+.PHONY: picture
+picture: $(if $(RUN),,build) ## Draw the tissue at the end of a run (RUN=DIR) coloured by stress, as a PNG
+	$(call install-packages,$(PICTURE_PACKAGES))
+	@run="$(or $(RUN),$(RUN_DIR))"; \
+	if [ -z "$(RUN)" ] && [ ! -e "$$run/final.vtk" ]; then run=out/offline; \
+	  $(BIN)/server/sutured run $(SCENE) --surgeon $(SURGEON) --out "$$run" || exit; fi; \
+	/usr/bin/python3 server/scenes/picture.py "$$run"
 
 .PHONY: serve
 serve: build ## Serve the anastomosis scene until Ctrl-C

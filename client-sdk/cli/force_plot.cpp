@@ -10,6 +10,7 @@ namespace suture::cli {
 namespace {
 
 constexpr double kWidth = 960, kHeight = 360;
+constexpr double kLabelWidth = 10;
 constexpr double kLeft = 64, kRight = 16, kTop = 44, kBottom = 44;
 // Told apart by most eyes, and from the red of the marks; repeated beyond six curves.
 constexpr std::array<const char*, 6> kColours{"#2471a3", "#d68910", "#1e8449",
@@ -103,10 +104,13 @@ std::string force_plot_svg(std::span<const PlotCurve> curves, std::span<const Pl
          "<text transform=\"translate(16 %g) rotate(-90)\" text-anchor=\"middle\" "
          "fill=\"#444\">force (N)</text>\n",
          (kTop + kHeight - kBottom) / 2);
+  double labelled_to = 0.0;
   for (const PlotMark& mark : marks) {
     if (mark.time_s < begin_s || mark.time_s > end_s) continue;
     append(svg, "<path d=\"M%.2f %gV%g\" stroke=\"#c0392b\" stroke-dasharray=\"3 3\"/>",
            x(mark.time_s), kTop, kHeight - kBottom);
+    if (x(mark.time_s) < labelled_to) continue;  // it would lie over the last one
+    labelled_to = x(mark.time_s) + kLabelWidth;
     append(svg, "<text transform=\"translate(%.2f %g) rotate(-90)\" text-anchor=\"end\" ",
            x(mark.time_s) - 3, kTop + 2);
     svg += "font-size=\"10\" fill=\"#c0392b\">" + escaped(mark.label) + "</text>\n";

@@ -12,8 +12,11 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <span>
 #include <stdexcept>
 
+#include "fem/elements.hpp"
+#include "needle/curve.hpp"
 #include "protocol/surgeon.hpp"
 #include "scene/scene_reader.hpp"
 #include "simulation/quality.hpp"
@@ -23,6 +26,8 @@ namespace sutured::commands {
 namespace {
 
 using simulation::Simulation;
+
+constexpr double kFrameRate_hz = 60.0;
 
 struct RunOptions {
   std::string scene, surgeon, out;
@@ -101,9 +106,20 @@ simulation::ToolInput input_at(const suture::SurgeonTrack* track, double time_s)
   return input;
 }
 
-/// Legacy VTK with tets, displacements and von Mises stress per vertex, in metres and pascals.
+void write_stress(OutputFile& file, std::span<const simulation::Vec6> stress_pa) {
+  file << "SCALARS von_mises_pa double 1\nLOOKUP_TABLE default\n";
+  for (const auto& s : stress_pa) file << fem::von_mises_pa(s) << '\n';
+  file << "VECTORS principal_pa double\n";
+  for (const auto& s : stress_pa) {
+    const geometry::Vec3 p = fem::principal_stress_pa(s);
+    file << p[0] << ' ' << p[1] << ' ' << p[2] << '\n';
+  }
+}
+
+/// Legacy VTK with tets at rest, displacements, and stress per vertex and tet, in metres and
+/// pascals. The three components of `principal_pa` are the principal stresses, largest first.
 void write_vtk(const std::filesystem::path& directory, const Simulation& sim,
-               const std::string& title) {
+               const simulation::StressField& stress, const std::string& title) {
   OutputFile file(directory, "final.vtk");
   const auto rest = sim.rest_positions_m(), now = sim.positions_m();
   file << "# vtk DataFile Version 3.0\n"
@@ -120,16 +136,50 @@ void write_vtk(const std::filesystem::path& directory, const Simulation& sim,
     const geometry::Vec3 u = now[v] - rest[v];
     file << u[0] << ' ' << u[1] << ' ' << u[2] << '\n';
   }
-  std::vector<double> stress(rest.size());
-  sim.vertex_stress_pa(stress);
-  file << "SCALARS von_mises_pa double 1\nLOOKUP_TABLE default\n";
-  for (const double s : stress) file << s << '\n';
+  write_stress(file, stress.vertex_pa);
+  file << "CELL_DATA " << tets.size() << '\n';
+  write_stress(file, stress.tet_pa);
   file.close();
+}
+
+/// The largest principal and von Mises stress of any tet, and where: the tissue and the rest
+/// position of the tet's centre.
+nlohmann::json summarise_stress(const Simulation& sim, const simulation::StressField& stress) {
+  nlohmann::json summary;
+  const auto add = [&](const std::string& name, auto&& measure) {
+    const auto less = [&](const auto& a, const auto& b) { return measure(a) < measure(b); };
+    const auto largest = std::max_element(stress.tet_pa.begin(), stress.tet_pa.end(), less);
+    const auto& tet = sim.tets()[static_cast<std::size_t>(largest - stress.tet_pa.begin())];
+    geometry::Vec3 centre = geometry::Vec3::Zero();
+    for (const auto v : tet) centre += 0.25 * sim.rest_positions_m()[static_cast<std::size_t>(v)];
+    std::string tissue;
+    for (const auto& body : sim.bodies())
+      if (tet[0] >= body.first_vertex) tissue = body.name;
+    summary[name + "_max_pa"] = measure(*largest);
+    summary[name + "_max_at"] = {{"tissue", tissue},
+                                 {"rest_position_m", {centre[0], centre[1], centre[2]}}};
+  };
+  add("principal", [](const auto& s) { return fem::principal_stress_pa(s)[0]; });
+  add("von_mises", [](const auto& s) { return fem::von_mises_pa(s); });
+  return summary;
+}
+
+/// Points of a needle's axis, tip to tail: what to draw.
+nlohmann::json course_m(const scene::Needle& needle, const scene::Pose& pose) {
+  constexpr int kPoints = 33;
+  const needle::Curve curve = needle::Curve::of(needle);
+  nlohmann::json course = nlohmann::json::array();
+  for (int i = 0; i < kPoints; ++i) {
+    const geometry::Vec3 p = curve.point(pose, curve.length_m() * (1.0 - i / (kPoints - 1.0)));
+    course.push_back({p[0], p[1], p[2]});
+  }
+  return course;
 }
 
 nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
                          const nlohmann::json& events, const std::vector<double>& peak_force_n,
-                         double residual_max, std::uint64_t steps, double rate_hz) {
+                         const std::vector<double>& peak_tension_n, double residual_max,
+                         int inverted_tets_max, std::uint64_t steps, double rate_hz) {
   nlohmann::json summary;
   summary["scene"] = scene.name;
   summary["steps"] = steps;
@@ -152,17 +202,34 @@ nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
   nlohmann::json needles = nlohmann::json::object();
   for (std::size_t i = 0; i < scene.needles.size(); ++i) {
     const auto& needle = sim.needles()[i];
-    needles[scene.needles[i].name] = {{"embedded_length_m", needle.embedded_length_m},
-                                      {"active_cells", needle.active_cells},
-                                      {"tip_inside", needle.tip_inside}};
+    needles[scene.needles[i].name] = {
+        {"embedded_length_m", needle.embedded_length_m},
+        {"active_cells", needle.active_cells},
+        {"tip_inside", needle.tip_inside},
+        {"diameter_m", scene.needles[i].diameter_m},
+        {"course_m", course_m(scene.needles[i], {needle.position_m, needle.orientation})}};
   }
   summary["needles"] = needles;
+  nlohmann::json threads = nlohmann::json::object();
+  for (std::size_t i = 0; i < scene.threads.size(); ++i) {
+    const auto& thread = sim.threads()[i];
+    nlohmann::json course = nlohmann::json::array();
+    for (const auto& p : thread.course_m) course.push_back({p[0], p[1], p[2]});
+    threads[scene.threads[i].name] = {{"tension_n", thread.tension_n},
+                                      {"tension_max_n", peak_tension_n[i]},
+                                      {"slack_m", thread.slack_m},
+                                      {"punctures", thread.punctures.size()},
+                                      {"diameter_m", scene.threads[i].diameter_m},
+                                      {"course_m", course}};
+  }
+  summary["threads"] = threads;
   double displacement = 0.0;
   for (std::size_t v = 0; v < sim.positions_m().size(); ++v)
     displacement =
         std::max(displacement, (sim.positions_m()[v] - sim.rest_positions_m()[v]).norm());
   summary["displacement_max_m"] = displacement;
   summary["complementarity_residual_max"] = residual_max;
+  summary["inverted_tets_max"] = inverted_tets_max;
   return summary;
 }
 
@@ -240,7 +307,10 @@ class Progress {
 int run(const RunOptions& options) {
   const scene::Scene scene = scene::read_scene(options.scene);
   for (const auto& note : scene.notes) std::cerr << "note: " << note << '\n';
-  const suture::Surgeon surgeon = suture::read_surgeon(options.surgeon);
+  const suture::Surgeon surgeon =
+      options.surgeon.empty() ? suture::Surgeon() : suture::read_surgeon(options.surgeon);
+  if (options.surgeon.empty() && options.duration_s <= 0.0)
+    throw std::runtime_error("without a surgeon nothing says how long to run; give --duration");
   for (const auto& track : surgeon.tracks)
     if (std::none_of(scene.tools.begin(), scene.tools.end(),
                      [&](const auto& tool) { return tool.name == track.tool; }))
@@ -261,16 +331,20 @@ int run(const RunOptions& options) {
       static_cast<std::uint64_t>(std::llround(std::ceil(duration_s * rate_hz - 1e-9)));
 
   OutputFile step_file(options.out, "steps.csv"), timing(options.out, "timing.csv"),
-      tool_file(options.out, "tools.csv"), event_file(options.out, "events.jsonl");
+      tool_file(options.out, "tools.csv"), thread_file(options.out, "threads.csv"),
+      event_file(options.out, "events.jsonl");
   step_file << "time_s,rows,active_unilateral_rows,contacts,complementarity_residual\n";
-  timing << "time_s,substeps,track_ns,assemble_ns,solve_ns,model_ns,backward_ns\n";
+  timing << "time_s,substeps,track_ns,contact_ns,assemble_ns,solve_ns,model_ns,backward_ns\n";
   tool_file << "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw,fx_n,fy_n,fz_n,tx_nm,ty_nm,tz_nm\n";
+  thread_file << "time_s,thread,tension_n,slack_m,punctures\n";
   std::vector<const suture::SurgeonTrack*> tracks;
   for (const auto& tool : scene.tools) tracks.push_back(surgeon.track(tool.name));
   std::vector<simulation::ToolInput> inputs(scene.tools.size());
   std::vector<double> peak_force_n(scene.tools.size(), 0.0);
+  std::vector<double> peak_tension_n(scene.threads.size(), 0.0);
   nlohmann::json events = nlohmann::json::array();
   double residual_max = 0.0;
+  int inverted_tets_max = 0;
   const auto take_events = [&] {
     for (const auto& event : sim.events()) {
       const nlohmann::json line = {
@@ -284,6 +358,10 @@ int run(const RunOptions& options) {
       events.push_back(line);
     }
   };
+  // The peak of the stress is looked for as often as a viewer sees it.
+  const auto steps_a_frame =
+      static_cast<std::uint64_t>(std::max<long long>(std::llround(rate_hz / kFrameRate_hz), 1));
+  simulation::StressField stress;
   Progress progress(!options.quiet, steps);
   for (std::uint64_t step = 1; step <= steps; ++step) {
     const double time_s = static_cast<double>(step) / rate_hz;
@@ -291,13 +369,19 @@ int run(const RunOptions& options) {
       inputs[i] = input_at(tracks[i], std::min(time_s, duration_s));
     sim.step(inputs, 1.0 / rate_hz);
     meter.watch(simulation::quality_view(sim));
+    if (step % steps_a_frame == 0) {
+      sim.update_displacements();
+      sim.compute_stress(stress);
+      meter.note_principal_stress(simulation::peak_principal_stress_pa(stress, sim.bodies()));
+    }
     const auto& report = sim.report();
     residual_max = std::max(residual_max, report.complementarity_residual);
+    inverted_tets_max = std::max(inverted_tets_max, report.inverted_tets);
     step_file << report.time_s << ',' << report.rows << ',' << report.active_unilateral_rows << ','
               << report.contacts << ',' << report.complementarity_residual << '\n';
     timing << report.time_s << ',' << report.substeps << ',' << report.track_ns << ','
-           << report.assemble_ns << ',' << report.solve_ns << ',' << report.model_ns << ','
-           << report.backward_ns << '\n';
+           << report.contact_ns << ',' << report.assemble_ns << ',' << report.solve_ns << ','
+           << report.model_ns << ',' << report.backward_ns << '\n';
     for (std::size_t i = 0; i < inputs.size(); ++i) {
       if (!inputs[i].present) continue;
       const auto& p = inputs[i].position_m;
@@ -313,19 +397,30 @@ int run(const RunOptions& options) {
                 << inputs[i].jaw << ',' << w[0] << ',' << w[1] << ',' << w[2] << ',' << w[3] << ','
                 << w[4] << ',' << w[5] << '\n';
     }
+    for (std::size_t i = 0; i < scene.threads.size(); ++i) {
+      const auto& thread = sim.threads()[i];
+      peak_tension_n[i] = std::max(peak_tension_n[i], thread.tension_n);
+      thread_file << report.time_s << ',' << scene.threads[i].name << ',' << thread.tension_n << ','
+                  << thread.slack_m << ',' << thread.punctures.size() << '\n';
+    }
     take_events();
     progress.at(step);
   }
   sim.update_displacements();
+  inverted_tets_max = std::max(inverted_tets_max, sim.report().inverted_tets);
+  sim.compute_stress(stress);
+  meter.note_principal_stress(simulation::peak_principal_stress_pa(stress, sim.bodies()));
   meter.measure(simulation::quality_view(sim));
-  write_vtk(options.out, sim, scene.name);
-  nlohmann::json summary =
-      summarise(scene, sim, events, peak_force_n, residual_max, steps, rate_hz);
+  write_vtk(options.out, sim, stress, scene.name);
+  nlohmann::json summary = summarise(scene, sim, events, peak_force_n, peak_tension_n, residual_max,
+                                     inverted_tets_max, steps, rate_hz);
+  summary["stress"] = summarise_stress(sim, stress);
   summary["quality"] = summarise_quality(scene, meter);
   summary["wound"] = summarise_wounds(scene, meter);
   OutputFile summary_file(options.out, "summary.json");
   summary_file << summary.dump(2) << "\n";
-  for (OutputFile* file : {&step_file, &timing, &tool_file, &event_file, &summary_file})
+  for (OutputFile* file :
+       {&step_file, &timing, &tool_file, &thread_file, &event_file, &summary_file})
     file->close();
   return 0;
 }
@@ -337,8 +432,8 @@ void add_run_command(CLI::App& app, int& exit_code) {
   CLI::App* command =
       app.add_subcommand("run", "Play a surgeon file through a scene, without clock or network");
   command->add_option("scene", options->scene, "Scene file (TOML)")->required();
-  command->add_option("--surgeon", options->surgeon, "Surgeon file (CSV): time_s,tool,px_m,…,jaw")
-      ->required();
+  command->add_option("--surgeon", options->surgeon,
+                      "Surgeon file (CSV): time_s,tool,px_m,…,jaw; none: nobody touches the scene");
   command->add_option("--out", options->out, "Folder for the results")->required();
   command->add_option("--rate", options->rate_hz, "Steps per second; the scene's by default")
       ->check(CLI::Range(1.0, 10000.0));
@@ -350,7 +445,8 @@ void add_run_command(CLI::App& app, int& exit_code) {
   command->footer(
       "Example: sutured run server/scenes/anastomosis/scene.toml \\\n"
       "           --surgeon server/scenes/anastomosis/surgeon.csv --out out/run\n"
-      "Writes steps.csv, timing.csv, tools.csv, events.jsonl, final.vtk and summary.json. Twice "
+      "Writes steps.csv, timing.csv, tools.csv, threads.csv, events.jsonl, final.vtk and "
+      "summary.json. Twice "
       "the same run\n"
       "gives the same bytes but for timing.csv. Exit code: 0 done, 1 faulty input or output, 2 "
       "wrong usage.");

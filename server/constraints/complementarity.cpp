@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "constraints/blas.hpp"
+#include "fem/simd_kernel.hpp"
 
 namespace sutured::constraints {
 namespace {
@@ -16,6 +17,17 @@ constexpr double kGapScale_m = 1e-3;
 constexpr double kRounding = 1e-12;
 
 std::size_t at(int i) { return static_cast<std::size_t>(i); }
+
+/// sum += l column, and magnitude += |l column|.
+SUTURED_KERNEL void add_column(const double* column, double l, int count, double* sum,
+                               double* magnitude) {
+#pragma omp simd
+  for (int i = 0; i < count; ++i) {
+    const double term = l * column[i];
+    sum[i] += term;
+    magnitude[i] += std::abs(term);
+  }
+}
 
 /// Factors the lower triangle of `a` (n × n), adding to its diagonal only as much as it takes.
 bool factor_regularised(int n, std::vector<double>& a, const std::vector<double>& original) {
@@ -54,6 +66,8 @@ void ComplementaritySolver::factor(const ComplianceMatrix& w, std::span<const Bo
   for (int j = 0; j < nu; ++j)
     for (int i = 0; i < nu; ++i) s_[at(j) * at(nu) + at(i)] = w(bounded_[at(i)], bounded_[at(j)]);
   blas::subtract_gram(nu, nb, v_.data(), nb, s_.data(), nu);
+  for (int j = 0; j < nu; ++j)
+    for (int i = 0; i < j; ++i) s_[at(j) * at(nu) + at(i)] = s_[at(i) * at(nu) + at(j)];
 }
 
 void ComplementaritySolver::condense(const double* j, int columns, std::vector<double>& half,
@@ -140,18 +154,17 @@ int ComplementaritySolver::count_wrong() {
   const int nu = static_cast<int>(bounded_.size());
   lambda_scale_ = 0.0;
   for (int i = 0; i < nu; ++i) lambda_scale_ = std::max(lambda_scale_, std::abs(lambda_u_[at(i)]));
-  int wrong = 0;
   for (int i = 0; i < nu; ++i) {
-    double w = -qs_[at(i)], magnitude = std::abs(w);
-    for (int k = 0; k < nu; ++k) {
-      const double term = condensed_compliance(i, k) * lambda_u_[at(k)];
-      w += term;
-      magnitude += std::abs(term);
-    }
-    gap_u_[at(i)] = w;
-    magnitude_u_[at(i)] = magnitude;
-    wrong += right_state(i) != state_u_[at(i)];
+    gap_u_[at(i)] = -qs_[at(i)];
+    magnitude_u_[at(i)] = std::abs(qs_[at(i)]);
   }
+  for (int k = 0; k < nu; ++k) {
+    const double l = lambda_u_[at(k)];
+    if (l == 0.0) continue;
+    add_column(s_.data() + at(k) * at(nu), l, nu, gap_u_.data(), magnitude_u_.data());
+  }
+  int wrong = 0;
+  for (int i = 0; i < nu; ++i) wrong += right_state(i) != state_u_[at(i)];
   return wrong;
 }
 
@@ -267,11 +280,13 @@ SolveReport ComplementaritySolver::solve(std::span<const double> q, std::span<do
 
   // The residual is measured against W and q themselves, not against their condensation.
   gap_.assign(at(m_), 0.0);
+  residual_scratch_.assign(at(m_), 0.0);
   double lambda_max = 0.0;
   for (int j = 0; j < m_; ++j) {
     lambda_max = std::max(lambda_max, std::abs(lambda[at(j)]));
-    const double* column = w_->value.data() + at(j) * at(m_);
-    for (int i = 0; i < m_; ++i) gap_[at(i)] += column[i] * lambda[at(j)];
+    if (lambda[at(j)] != 0.0)
+      add_column(w_->value.data() + at(j) * at(m_), lambda[at(j)], m_, gap_.data(),
+                 residual_scratch_.data());
   }
   if (lambda_max == 0.0) lambda_max = 1.0;
   for (int i = 0; i < m_; ++i) {

@@ -65,7 +65,6 @@ class ComplementaritySolver {
 
   /// Returns S_ab for two bounded rows (positions in `bounded()`).
   [[nodiscard]] double condensed_compliance(int a, int b) const {
-    if (a < b) std::swap(a, b);
     return s_[static_cast<std::size_t>(b) * bounded_.size() + static_cast<std::size_t>(a)];
   }
 
@@ -82,11 +81,11 @@ class ComplementaritySolver {
   std::vector<int> bilateral_, bounded_;
   std::vector<double> l_;  ///< n_B × n_B, lower
   std::vector<double> v_;  ///< n_B × n_U
-  std::vector<double> s_;  ///< n_U × n_U, lower
+  std::vector<double> s_;  ///< n_U × n_U
   bool regularised_ = false;
   double lambda_scale_ = 0.0;
   std::vector<double> half_q_, qs_, lambda_u_, gap_u_, magnitude_u_, feasible_u_, reduced_,
-      reduced_rhs_, gap_;
+      reduced_rhs_, gap_, residual_scratch_;
   std::vector<int> free_;
   std::vector<RowState> state_u_;
 };

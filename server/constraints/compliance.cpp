@@ -2,6 +2,7 @@
 #include "constraints/compliance.hpp"
 
 #include <algorithm>
+#include <array>
 #include <utility>
 
 #include "fem/simd_kernel.hpp"
@@ -17,6 +18,27 @@ SUTURED_KERNEL void add_three_rows(const double* g, std::int64_t stride, const d
   for (std::int64_t i = 0; i < count; ++i) t[i] += c[0] * g0[i] + c[1] * g1[i] + c[2] * g2[i];
 }
 
+/// out[j] = Σ over the entries of row j of c · t[slot], for the first `rows` rows; four lanes at a
+/// time: each coefficient carries a zero behind it. Entries of row j: first[j] … first[j + 1].
+SUTURED_KERNEL void sparse_products(const double* coefficient, const int* offset,
+                                    const std::int32_t* first, int rows, const double* t,
+                                    double* out) {
+  for (int j = 0; j < rows; ++j) {
+    double sum[4] = {0.0, 0.0, 0.0, 0.0};
+    for (std::int32_t e = first[j]; e < first[j + 1]; ++e) {
+      const double *c = coefficient + 4 * e, *x = t + offset[e];
+#pragma omp simd
+      for (int k = 0; k < 4; ++k) sum[k] += c[k] * x[k];
+    }
+    out[j] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+  }
+}
+
+// Rows of G lie an odd number of cache lines apart: a power of two would crowd into few sets.
+constexpr std::size_t kPitchPadding = 8;
+// Columns of G taken at a time, so that their share of G stays in the second-level cache.
+constexpr std::int64_t kBlockColumns = 96;
+
 }  // namespace
 
 Compliance::Compliance(std::shared_ptr<const fem::CholeskyFactor> factor)
@@ -28,11 +50,13 @@ Compliance::Compliance(std::shared_ptr<const fem::CholeskyFactor> factor)
 
 void Compliance::grow(int capacity) {
   const auto old = static_cast<std::size_t>(capacity_), now = static_cast<std::size_t>(capacity);
-  std::vector<double> g(9 * now * now, 0.0);
+  const std::size_t old_pitch = pitch_;
+  pitch_ = 3 * now + kPitchPadding;
+  std::vector<double> g(3 * now * pitch_, 0.0);
   std::vector<std::uint8_t> known(now * now, 0);
   for (std::size_t i = 0; i < 3 * old; ++i)
-    std::copy_n(g_.begin() + static_cast<std::ptrdiff_t>(i * 3 * old), 3 * old,
-                g.begin() + static_cast<std::ptrdiff_t>(i * 3 * now));
+    std::copy_n(g_.begin() + static_cast<std::ptrdiff_t>(i * old_pitch), 3 * old,
+                g.begin() + static_cast<std::ptrdiff_t>(i * pitch_));
   for (std::size_t i = 0; i < old; ++i)
     std::copy_n(known_.begin() + static_cast<std::ptrdiff_t>(i * old), old,
                 known.begin() + static_cast<std::ptrdiff_t>(i * now));
@@ -43,7 +67,6 @@ void Compliance::grow(int capacity) {
   force_n_.resize(now, Vec3::Zero());
   active_.reserve(now);
   loaded_.reserve(now);
-  row_times_g_.resize(3 * now);
   capacity_ = capacity;
 }
 
@@ -109,41 +132,61 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
 
   w_.size = m;
   w_.value.resize(static_cast<std::size_t>(m) * static_cast<std::size_t>(m));
-  const auto stride = static_cast<std::int64_t>(3) * capacity_;
+  const auto stride = static_cast<std::int64_t>(pitch_);
   const auto width = static_cast<std::int64_t>(3) * high_water_;
-  const auto at = [&](int i, int j) -> double& {
-    return w_.value[static_cast<std::size_t>(j) * static_cast<std::size_t>(m) +
-                    static_cast<std::size_t>(i)];
-  };
+  // T = C G, a block of columns at a time; a row of T is padded by one lane.
+  const auto pitch = width + 1;
+  row_times_g_.assign(static_cast<std::size_t>(m) * static_cast<std::size_t>(pitch), 0.0);
+  for (std::int64_t first = 0; first < width; first += kBlockColumns) {
+    const auto count = std::min(kBlockColumns, width - first);
+    for (int i = 0; i < m; ++i) {
+      const auto entries = rows.entries(rows[i]);
+      double* t = row_times_g_.data() + i * pitch + first;
+      for (std::size_t e = 0; e < entries.size(); ++e) {
+        const auto slot = entry_slot_[static_cast<std::size_t>(rows[i].first_entry) + e];
+        add_three_rows(g_row(3 * slot) + first, stride, entries[e].coefficient.data(), count, t);
+      }
+    }
+  }
+  // W = T Cᵀ and what belongs to needles.
+  entry_offset_.resize(entry_slot_.size());
+  entry_coefficient_.resize(4 * entry_slot_.size());
+  row_first_.resize(static_cast<std::size_t>(m) + 1);
+  row_first_[static_cast<std::size_t>(m)] = static_cast<std::int32_t>(entry_slot_.size());
+  for (int i = 0; i < m; ++i) {
+    const auto entries = rows.entries(rows[i]);
+    row_first_[static_cast<std::size_t>(i)] = rows[i].first_entry;
+    for (std::size_t e = 0; e < entries.size(); ++e) {
+      const std::size_t k = static_cast<std::size_t>(rows[i].first_entry) + e;
+      entry_offset_[k] = 3 * entry_slot_[k];
+      const Vec3& c = entries[e].coefficient;
+      std::copy_n(std::array<double, 4>{c[0], c[1], c[2], 0.0}.begin(), 4,
+                  entry_coefficient_.begin() + static_cast<std::ptrdiff_t>(4 * k));
+    }
+  }
   for (int i = 0; i < m; ++i) {
     const Row& row = rows[i];
-    std::fill_n(row_times_g_.begin(), width, 0.0);
-    for (std::int32_t e = row.first_entry; e < row.first_entry + row.entry_count; ++e) {
-      const Entry& entry = rows.entries(row)[static_cast<std::size_t>(e - row.first_entry)];
-      add_three_rows(g_row(3 * entry_slot_[static_cast<std::size_t>(e)]), stride,
-                     entry.coefficient.data(), width, row_times_g_.data());
-    }
+    const double* t = row_times_g_.data() + i * pitch;
     const NeedleMobility* needle =
         row.needle >= 0 ? &needles[static_cast<std::size_t>(row.needle)] : nullptr;
     const Vec6 response =
         needle ? Vec6(needle->mobility * row.needle_jacobian) : Vec6::Zero().eval();
-    for (int j = 0; j <= i; ++j) {
-      const Row& other = rows[j];
-      double sum = 0.0;
-      const auto entries = rows.entries(other);
-      for (std::size_t e = 0; e < entries.size(); ++e) {
-        const double* t =
-            row_times_g_.data() + 3 * entry_slot_[static_cast<std::size_t>(other.first_entry) + e];
-        const Vec3& c = entries[e].coefficient;
-        sum += c[0] * t[0] + c[1] * t[1] + c[2] * t[2];
-      }
-      if (needle && other.needle == row.needle)
-        sum += response.dot(other.needle_jacobian) +
-               needle->slide_compliance_m_per_n * row.slide * other.slide;
-      at(i, j) = at(j, i) = sum;
-    }
-    at(i, i) += row.compliance_m_per_n;
+    double* column = w_.value.data() + static_cast<std::size_t>(i) * static_cast<std::size_t>(m);
+    sparse_products(entry_coefficient_.data(), entry_offset_.data(), row_first_.data(), i + 1, t,
+                    column);
+    if (needle != nullptr)
+      for (int j = 0; j <= i; ++j)
+        if (const Row& other = rows[j]; other.needle == row.needle)
+          column[j] += response.dot(other.needle_jacobian) +
+                       needle->slide_compliance_m_per_n * row.slide * other.slide;
+    column[i] += row.compliance_m_per_n;
   }
+  for (int i = 0; i < m; ++i)
+    for (int j = 0; j < i; ++j)
+      w_.value[static_cast<std::size_t>(j) * static_cast<std::size_t>(m) +
+               static_cast<std::size_t>(i)] =
+          w_.value[static_cast<std::size_t>(i) * static_cast<std::size_t>(m) +
+                   static_cast<std::size_t>(j)];
   return w_;
 }
 

@@ -73,23 +73,27 @@ class Compliance {
   void grow(int capacity);
   void ensure_pair(int a, int b);
   [[nodiscard]] double* g_row(int row) {
-    return g_.data() + static_cast<std::size_t>(row) * static_cast<std::size_t>(3 * capacity_);
+    return g_.data() + static_cast<std::size_t>(row) * pitch_;
   }
 
   std::shared_ptr<const fem::CholeskyFactor> factor_;
   int capacity_ = 0;
-  int high_water_ = 0;  ///< slots beyond it were never used
+  std::size_t pitch_ = 0;  ///< doubles from one row of G to the next
+  int high_water_ = 0;     ///< slots beyond it were never used
   std::uint64_t step_ = 0, walks_ = 0;
   std::vector<std::int32_t> slot_of_vertex_;  ///< −1 where not cached
   std::vector<fem::PathColumns> columns_;     ///< per slot; vertex −1 where free
   std::vector<std::uint64_t> last_used_;      ///< per slot
-  std::vector<double> g_;                     ///< 3 capacity × 3 capacity, row-major
+  std::vector<double> g_;                     ///< 3 capacity rows, `pitch_` apart
   std::vector<std::uint8_t> known_;           ///< capacity × capacity: pairs present in g_
   std::vector<int> active_;                   ///< slots of the present rows
   std::vector<int> entry_slot_;               ///< per entry of the present rows
-  std::vector<double> row_times_g_;
-  std::vector<Vec3> force_n_;  ///< per slot: Cᵀ λ
-  std::vector<int> loaded_;    ///< slots with a force
+  std::vector<int> entry_offset_;             ///< 3 × its slot
+  std::vector<double> entry_coefficient_;     ///< 4 per entry, the last zero
+  std::vector<std::int32_t> row_first_;       ///< m + 1: where a row's entries begin
+  std::vector<double> row_times_g_;           ///< T = C G, rows padded by one
+  std::vector<Vec3> force_n_;                 ///< per slot: Cᵀ λ
+  std::vector<int> loaded_;                   ///< slots with a force
   std::vector<double> forward_;
   ComplianceMatrix w_;
 };

@@ -52,6 +52,27 @@ struct Row {
   double slide = 0.0;                   ///< k
   std::int32_t tool = -1;               ///< the tool that feels it, or −1
   Vec6 tool_jacobian = Vec6::Zero();    ///< Jᵗ
+  std::int32_t second_tool = -1;        ///< another one that feels it (a thread between two jaws)
+  Vec6 second_tool_jacobian = Vec6::Zero();
+  std::uint64_t key = 0;  ///< names the row from step to step, for the warm start; 0: none
+
+  /// Couples the row to one more tool, of two at the most.
+  void feel(std::int32_t who, const Vec6& jacobian) {
+    if (tool < 0 || tool == who) {
+      tool = who;
+      tool_jacobian += jacobian;
+    } else {
+      second_tool = who;
+      second_tool_jacobian += jacobian;
+    }
+  }
+  /// Returns Jᵗ of tool `who`, or null where it does not feel the row.
+  [[nodiscard]] const Vec6* jacobian_of(std::int32_t who) const {
+    return who < 0              ? nullptr
+           : tool == who        ? &tool_jacobian
+           : second_tool == who ? &second_tool_jacobian
+                                : nullptr;
+  }
 };
 
 /// One vertex of one row.

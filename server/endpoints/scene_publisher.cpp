@@ -157,6 +157,7 @@ void ScenePublisher::publish_frame(const haptics::DisplayFrame& frame) {
     wire.simulation_time_s = frame.time_s;
     suture::lend(wire.position_m, std::span<const float>(frame.position_m[b]));
     suture::lend(wire.von_mises_pa, std::span<const float>(frame.von_mises_pa[b]));
+    suture::lend(wire.principal_pa, std::span<const float>(frame.principal_pa[b]));
     frames_.write(wire);
   }
   publish_needles(frame);

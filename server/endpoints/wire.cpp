@@ -206,7 +206,9 @@ void set_event(suture::v1::Event& wire, const simulation::Event& event) noexcept
   suture::set_text(wire.object, event.object);
   for (int i = 0; i < 3; ++i) wire.position_m[i] = event.position_m[i];
   wire.value = event.force_n;
-  suture::set_text(wire.unit, "N");
+  const bool count = event.kind == simulation::EventKind::kInverted;
+  suture::set_text(wire.unit, count ? "tets" : "N");
+  if (count) suture::set_text(wire.text, "tets are inside out");
 }
 
 std::string_view held_name(const scene::Scene& scene, const simulation::HeldThing& held) noexcept {
@@ -228,6 +230,7 @@ void set_thread(suture::v1::ThreadState& wire, const scene::Scene& scene, std::s
                 std::vector<suture::v1::Puncture>& punctures) {
   suture::set_text(wire.thread, scene.threads[thread].name);
   wire.length_m = state.length_m;
+  wire.diameter_m = scene.threads[thread].diameter_m;
   wire.tension_n = state.tension_n;
   wire.slack_m = state.slack_m;
   wire.taut = state.taut;

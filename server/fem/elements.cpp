@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "fem/elements.hpp"
 
+#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <cmath>
 
@@ -41,6 +42,15 @@ double von_mises_pa(const Vec6& s) {
   return std::sqrt(0.5 * ((s[0] - s[1]) * (s[0] - s[1]) + (s[1] - s[2]) * (s[1] - s[2]) +
                           (s[2] - s[0]) * (s[2] - s[0])) +
                    3.0 * (s[3] * s[3] + s[4] * s[4] + s[5] * s[5]));
+}
+
+Vec3 principal_stress_pa(const Vec6& s) noexcept {
+  Mat3 stress;
+  stress << s[0], s[3], s[5],  //
+      s[3], s[1], s[4],        //
+      s[5], s[4], s[2];
+  Eigen::SelfAdjointEigenSolver<Mat3> solver;
+  return solver.computeDirect(stress, Eigen::EigenvaluesOnly).eigenvalues().reverse();
 }
 
 Eigen::Vector4d barycentric(const std::array<Vec3, 4>& x, const Vec3& p) {

@@ -45,6 +45,13 @@ struct TetShape {
 /// Returns the von Mises equivalent (Pa) of a stress (xx, yy, zz, xy, yz, zx; Pa).
 [[nodiscard]] double von_mises_pa(const Vec6& stress_pa);
 
+/// Returns the principal stresses (Pa) of a stress (xx, yy, zz, xy, yz, zx; Pa): its eigenvalues,
+/// largest first, in closed form.
+///
+/// Where two nearly coincide each is off by up to the square root of the rounding error: 1e-7 of
+/// the largest component. Allocates: never. Cost: a tenth of a microsecond.
+[[nodiscard]] Vec3 principal_stress_pa(const Vec6& stress_pa) noexcept;
+
 /// Returns the barycentric coordinates of `p` in the tet with corners `x`; they sum to one and
 /// extend linearly outside. The tet must not be flat.
 [[nodiscard]] Eigen::Vector4d barycentric(const std::array<Vec3, 4>& x, const Vec3& p);

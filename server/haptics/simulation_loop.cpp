@@ -6,6 +6,7 @@
 #include <exception>
 #include <utility>
 
+#include "fem/elements.hpp"
 #include "haptics/display_copies.hpp"
 #include "haptics/model_builder.hpp"
 #include "haptics/realtime.hpp"
@@ -28,14 +29,15 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
       period_ns_(std::llround(1e9 / options_.rate_hz)),
       display_period_ns_(std::llround(1e9 / options_.display_rate_hz)),
       inputs_(channels.size()),
-      targets_(channels.size()),
-      stress_pa_(simulation_.rest_positions_m().size()) {
+      targets_(channels.size()) {
+  simulation_.compute_stress(stress_);  // so that no frame allocates
   for (std::size_t i = 0; i < channels_.size(); ++i)
     models_.push_back(std::make_unique<suture::Snapshot<PublishedModel>>());
   frames_.for_each_place([this](DisplayFrame& frame) {
     for (const simulation::Body& body : simulation_.bodies()) {
       frame.position_m.emplace_back(3 * body.surface_vertices.size());
       frame.von_mises_pa.emplace_back(body.surface_vertices.size());
+      frame.principal_pa.emplace_back(3 * body.surface_vertices.size());
     }
     frame.needles.resize(simulation_.needles().size());
     frame.threads.resize(simulation_.threads().size());
@@ -160,22 +162,28 @@ void SimulationLoop::publish_events() {
 
 void SimulationLoop::publish_frame(std::int64_t now_ns) {
   simulation_.update_displacements();
-  simulation_.vertex_stress_pa(stress_pa_);
+  simulation_.compute_stress(stress_);
   DisplayFrame& frame = frames_.back();
   frame.epoch = epoch();
   frame.step = simulation_.report().step;
   frame.stamp_ns = suture::wall_clock_ns();
   frame.time_s = simulation_.time_s();
   frame.report = simulation_.report();
+  double peak_principal_pa = 0.0;
   const auto positions = simulation_.positions_m();
   const auto bodies = simulation_.bodies();
   for (std::size_t b = 0; b < bodies.size(); ++b) {
     const auto& vertices = bodies[b].surface_vertices;
     for (std::size_t v = 0; v < vertices.size(); ++v) {
       const std::size_t global = bodies[b].first_vertex + vertices[v];
-      for (int k = 0; k < 3; ++k)
+      const auto& stress_pa = stress_.vertex_pa[global];
+      const geometry::Vec3 principal_pa = fem::principal_stress_pa(stress_pa);
+      peak_principal_pa = std::max(peak_principal_pa, principal_pa[0]);
+      for (int k = 0; k < 3; ++k) {
         frame.position_m[b][3 * v + k] = static_cast<float>(positions[global][k]);
-      frame.von_mises_pa[b][v] = static_cast<float>(stress_pa_[global]);
+        frame.principal_pa[b][3 * v + k] = static_cast<float>(principal_pa[k]);
+      }
+      frame.von_mises_pa[b][v] = static_cast<float>(fem::von_mises_pa(stress_pa));
     }
   }
   std::copy(simulation_.needles().begin(), simulation_.needles().end(), frame.needles.begin());
@@ -185,6 +193,7 @@ void SimulationLoop::publish_frame(std::int64_t now_ns) {
   for (std::size_t i = 0; i < frame.held.size(); ++i)
     frame.held[i] = simulation_.responses()[i].held;
   if (options_.quality) {
+    options_.quality->note_principal_stress(peak_principal_pa);
     if (now_ns - measured_ns_ >= kMeasurePeriod_ns) {
       measured_ns_ = now_ns;
       options_.quality->measure(simulation::quality_view(simulation_));

@@ -29,6 +29,7 @@ struct DisplayFrame {
   simulation::StepReport report;
   std::vector<std::vector<float>> position_m;    ///< per body, 3 per surface vertex, world
   std::vector<std::vector<float>> von_mises_pa;  ///< per body, 1 per surface vertex
+  std::vector<std::vector<float>> principal_pa;  ///< per body, 3 per surface vertex, largest first
   std::vector<simulation::NeedleState> needles;
   std::vector<simulation::ThreadState> threads;    ///< as far as `display_copies.hpp` lets them
   std::vector<simulation::ContactPoint> contacts;  ///< likewise
@@ -138,7 +139,7 @@ class SimulationLoop {
   std::vector<std::unique_ptr<suture::Snapshot<PublishedModel>>> models_;
   suture::Snapshot<DisplayFrame> frames_;
   BoundedQueue<LoopEvent, 1024> events_;
-  std::vector<double> stress_pa_;
+  simulation::StressField stress_;
   std::uint64_t resets_done_ = 0;
   std::int64_t shown_ns_ = 0, measured_ns_ = 0;
 

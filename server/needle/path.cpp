@@ -66,6 +66,12 @@ void Path::clear() {
   random_.seed(static_cast<std::minstd_rand::result_type>(seed_));
 }
 
+void Path::drop_first_bite() {
+  const auto last = std::find_if(cells_.begin(), cells_.end(),
+                                 [](const Cell& cell) { return cell.left.triangle >= 0; });
+  if (last != cells_.end()) cells_.erase(cells_.begin(), last + 1);
+}
+
 double Path::embedded_length_m() const {
   double sum = 0.0;
   for (const Cell& cell : cells_) sum += cell.active_length_m;

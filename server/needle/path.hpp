@@ -119,6 +119,8 @@ class Path {
   /// Length of the needle inside tissue now.
   [[nodiscard]] double embedded_length_m() const;
   void clear();
+  /// Removes the cells of the oldest bite. Precondition: the needle's tail has left it.
+  void drop_first_bite();
 
   /// Slides the needle along itself by `slide_m` relative to the tissue: every parameter moves, the
   /// tip walks or is drawn back. `pose` is the needle's after the slide. Back through its own

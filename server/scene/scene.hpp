@@ -114,6 +114,9 @@ struct Bite {
 
 enum class ThreadTail { kAnchored, kFree };  ///< knotted at the first puncture, or nowhere
 enum class ThreadEnds { kHeld, kNone };      ///< ruled by needle and tail, or by nobody
+enum class ThreadHead { kSwaged, kFree };    ///< crimped into a needle, or cut off
+/// Where the tension acts: at the punctures only (the paper), or along the whole bite.
+enum class ThreadModel { kOutside, kPath };
 
 struct TimedLength {
   double time_s = 0.0;
@@ -126,7 +129,12 @@ struct Thread {
   double length_m = 0.45;
   ThreadTail tail = ThreadTail::kAnchored;
   ThreadEnds ends = ThreadEnds::kHeld;
-  std::vector<Bite> punctures;
+  ThreadHead head = ThreadHead::kSwaged;
+  ThreadModel model = ThreadModel::kOutside;
+  double diameter_m = 0.0003;   ///< for the eye
+  double tension_max_n = 0.5;   ///< a pull beyond it is clamped
+  double tail_length_m = 0.03;  ///< before the first of `punctures`, where the tail is free
+  std::vector<Bite> punctures;  ///< from tail to head, two a bite
   std::vector<TimedLength> length_program;  ///< ascending times; empty for none
 };
 

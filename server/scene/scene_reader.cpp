@@ -211,10 +211,19 @@ class SceneBuilder {
     thread.name = read_name(table, scene_.threads);
     static const std::array<std::string, 2> kTails{"anchored", "free"};
     static const std::array<std::string, 2> kEnds{"held", "none"};
+    static const std::array<std::string, 2> kHeads{"swaged", "free"};
+    static const std::array<std::string, 2> kModels{"outside", "path"};
     thread.length_m = table.number("length_m", thread.length_m, kPositive);
+    thread.diameter_m = table.number("diameter_m", thread.diameter_m, kPositive);
+    thread.tension_max_n = table.number("tension_max_n", thread.tension_max_n, kPositive);
+    thread.tail_length_m = table.number("tail_length_m", thread.tail_length_m, kNotNegative);
     thread.tail = static_cast<ThreadTail>(table.choice("tail", 0, kTails));
     thread.ends = static_cast<ThreadEnds>(table.choice("ends", 0, kEnds));
-    if (thread.ends == ThreadEnds::kHeld || table.has("needle")) {
+    thread.head = static_cast<ThreadHead>(table.choice("head", 0, kHeads));
+    thread.model =
+        static_cast<ThreadModel>(table.choice("model", static_cast<int>(thread.model), kModels));
+    const bool swaged = thread.ends == ThreadEnds::kHeld && thread.head == ThreadHead::kSwaged;
+    if (swaged || table.has("needle")) {
       thread.needle = table.required_text("needle");
       std::vector<std::string> names;
       for (const Needle& needle : scene_.needles) names.push_back(needle.name);
@@ -224,13 +233,41 @@ class SceneBuilder {
                     table.title() + " hangs on needle \"" + thread.needle +
                         "\", which is not in the scene" + did_you_mean(thread.needle, names),
                     "name a [[needle]] of the scene, or write ends = \"none\"");
+      else if (table.has("needle") && !swaged)
+        table.fault("needle", table.title() + " has a needle that rules no end of it",
+                    "leave needle out, or write ends = \"held\" and head = \"swaged\"");
+      for (const Thread& other : scene_.threads)
+        if (!thread.needle.empty() && other.needle == thread.needle)
+          table.fault(
+              "needle",
+              "threads \"" + other.name + "\" and \"" + thread.name + "\" hang on the same needle",
+              "give each thread its own needle");
     }
     read_punctures(table, thread);
     read_length_program(table, thread);
-    scene_.notes.push_back(
-        "thread \"" + thread.name +
-        "\" is read and checked, but this version does not simulate threads yet");
+    check_thread(table, thread);
     scene_.threads.push_back(std::move(thread));
+  }
+
+  void check_thread(TableReader& table, const Thread& thread) {
+    if (thread.punctures.size() % 2 != 0)
+      table.fault("punctures",
+                  table.title() + " has " + std::to_string(thread.punctures.size()) +
+                      " punctures, and every bite has two",
+                  "list where each bite enters and where it leaves, from tail to head");
+    for (std::size_t i = 0; i + 1 < thread.punctures.size(); i += 2)
+      if (thread.punctures[i].tissue != thread.punctures[i + 1].tissue)
+        table.fault("punctures",
+                    "bite " + std::to_string(i / 2 + 1) + " of " + table.title() +
+                        " enters one tissue and leaves another",
+                    "list two punctures of the same tissue for each bite");
+    if (thread.ends == ThreadEnds::kNone && thread.punctures.size() < 4)
+      table.fault("ends", table.title() + " has no ends and fewer than two bites: nothing pulls it",
+                  "list at least four punctures, or write ends = \"held\"");
+    if (!thread.length_program.empty() && thread.ends == ThreadEnds::kHeld)
+      table.fault("length_program_m",
+                  table.title() + " has a length program, but hands rule its ends",
+                  "write ends = \"none\", or leave the program out");
   }
 
   void read_punctures(TableReader& table, Thread& thread) {
@@ -413,9 +450,6 @@ class SceneBuilder {
     TableReader table(*inner, "[contact]", faults_);
     scene_.contact.enabled = table.boolean("enabled", true);
     table.finish();
-    scene_.notes.emplace_back(
-        "[contact] is read and checked, but this version does not simulate contact between tissues "
-        "yet");
   }
 
   Scene scene_;

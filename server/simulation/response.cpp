@@ -40,9 +40,9 @@ void ResponseBuilder::build(const constraints::ConstraintRows& rows,
   bool felt = false;
   columns_.assign(6 * at(m), 0.0);
   for (int i = 0; i < m; ++i)
-    if (rows[i].tool == index) {
+    if (const Vec6* jacobian = rows[i].jacobian_of(index)) {
       felt = true;
-      for (int c = 0; c < 6; ++c) columns_[at(c) * at(m) + at(i)] = rows[i].tool_jacobian[c];
+      for (int c = 0; c < 6; ++c) columns_[at(c) * at(m) + at(i)] = (*jacobian)[c];
     }
   chosen_.clear();
   problem.frozen_rows = 0;

@@ -7,8 +7,10 @@
 #include <utility>
 
 #include "constraints/complementarity.hpp"
+#include "contact/tissue_contact.hpp"
 #include "simulation/needle_body.hpp"
 #include "simulation/response.hpp"
+#include "simulation/thread_body.hpp"
 #include "simulation/tissue_state.hpp"
 #include "simulation/tool_body.hpp"
 
@@ -43,6 +45,19 @@ struct Simulation::State {
       needles.emplace_back(scene, static_cast<int>(i));
     for (std::size_t i = 0; i < scene.tools.size(); ++i)
       tools.emplace_back(scene, static_cast<int>(i));
+    threads.reserve(scene.threads.size());
+    for (std::size_t i = 0; i < scene.threads.size(); ++i)
+      threads.emplace_back(scene, static_cast<int>(i), tissue);
+    if (scene.contact.enabled) {
+      std::vector<int> tissue_of;
+      std::vector<double> modulus;
+      for (std::size_t t = 0; t < tissue.surface().triangles.size(); ++t) {
+        tissue_of.push_back(tissue.tissue_of_triangle(static_cast<std::int32_t>(t)));
+        modulus.push_back(tissue.young_modulus_pa(tissue.surface().tet[t]));
+      }
+      contact.emplace(tissue.surface(), tissue.model().vertices_m, std::move(tissue_of),
+                      std::move(modulus));
+    }
     inputs.resize(tools.size());
     moving.resize(tools.size());
     responses.resize(tools.size());
@@ -53,12 +68,15 @@ struct Simulation::State {
     events.reserve(64);
     pending_events.reserve(64);
     report_needles();
+    report_threads();
   }
 
   scene::Scene scene;
   TissueState tissue;
   std::vector<NeedleBody> needles;
   std::vector<ToolBody> tools;
+  std::vector<ThreadBody> threads;
+  std::optional<contact::TissueContact> contact;
   std::vector<ToolInput> inputs, moving;
   std::vector<ToolResponse> responses;
   std::vector<simulation::NeedleState> needle_states;
@@ -71,6 +89,7 @@ struct Simulation::State {
   double base_s = 0.0, period_s = 0.0;
   std::uint64_t steps_since_base = 0;
   bool settled = true;
+  int inverted_told = 0;
 
   constraints::ConstraintRows rows;
   constraints::ComplementaritySolver solver;
@@ -79,6 +98,7 @@ struct Simulation::State {
   std::vector<constraints::Bounds> bounds;
   std::vector<double> target, lambda;
   std::vector<constraints::RowState> states;
+  std::vector<std::pair<std::uint64_t, constraints::RowState>> warm;  ///< by key
 
   /// Brings tissue, paths and grips up to the last solve.
   void settle(std::vector<Event>& out) {
@@ -89,17 +109,52 @@ struct Simulation::State {
     const auto tracking = Clock::now();
     for (NeedleBody& needle : needles) needle.track(tissue, time_s, out);
     for (ToolBody& tool : tools) tool.commit(tissue, needles, time_s, out);
+    for (ThreadBody& thread : threads) thread.update(tissue, needles, tools, time_s, out);
     report.track_ns += since(tracking);
     settled = true;
+  }
+
+  /// Counts the tets that are inside out, and tells when there are more than before.
+  void look_for_inverted(std::vector<Event>& out) {
+    const int count = tissue.inverted_tets();
+    report.inverted_tets = std::max(report.inverted_tets, count);
+    if (count > inverted_told) {
+      const std::int32_t tet = tissue.first_inverted_tet();
+      Vec3 centre = Vec3::Zero();
+      for (const std::int32_t v : tissue.model().tets[static_cast<std::size_t>(tet)])
+        centre += 0.25 * tissue.positions_m()[static_cast<std::size_t>(v)];
+      const auto& body = tissue.bodies()[static_cast<std::size_t>(tissue.tissue_of_tet(tet))];
+      out.push_back(
+          {EventKind::kInverted, time_s, body.name, "", centre, static_cast<double>(count)});
+    }
+    inverted_told = count;
   }
 
   void build_rows() {
     rows.clear();
     for (NeedleBody& needle : needles) needle.add_rows(tissue, rows);
     for (ToolBody& tool : tools) tool.add_rows(tissue, needles, kReach_m, rows);
+    for (ThreadBody& thread : threads) thread.add_rows(needles, tools, rows);
+    if (contact) contact->add_rows(tissue.positions_m(), rows);
   }
 
-  void solve(bool warm) {
+  /// Named rows start as they ended the last solve, all others without force.
+  [[nodiscard]] constraints::RowState warm_state(std::uint64_t key) const {
+    if (key == 0) return constraints::RowState::kLower;
+    const auto found = std::lower_bound(warm.begin(), warm.end(), key,
+                                        [](const auto& a, std::uint64_t k) { return a.first < k; });
+    return found != warm.end() && found->first == key ? found->second
+                                                      : constraints::RowState::kLower;
+  }
+  void remember_states() {
+    warm.clear();
+    for (int i = 0; i < rows.size(); ++i)
+      if (rows[i].key != 0 && states[static_cast<std::size_t>(i)] != constraints::RowState::kLower)
+        warm.emplace_back(rows[i].key, states[static_cast<std::size_t>(i)]);
+    std::sort(warm.begin(), warm.end());
+  }
+
+  void solve() {
     const auto start = Clock::now();
     for (std::size_t i = 0; i < needles.size(); ++i) mobilities[i] = needles[i].mobility();
     const auto& w = tissue.compliance().assemble(rows, mobilities);
@@ -109,7 +164,6 @@ struct Simulation::State {
     bounds.resize(m);
     target.resize(m);
     lambda.assign(m, 0.0);
-    // Bounded rows are few and come and go; those that are closed already start as carrying.
     states.assign(m, constraints::RowState::kFree);
     for (std::size_t i = 0; i < m; ++i) {
       const constraints::Row& row = rows[static_cast<int>(i)];
@@ -118,10 +172,12 @@ struct Simulation::State {
       for (const auto& entry : rows.entries(row))
         q -= entry.coefficient.dot(tissue.free_position_m(entry.vertex));
       target[i] = q;
-      if (!row.bounds.bilateral_unbounded() && !warm) states[i] = constraints::RowState::kLower;
+      if (row.bounds.bilateral_unbounded()) continue;
+      states[i] = warm_state(row.key);
     }
     solver.factor(w, bounds);
     last_solve = solver.solve(target, lambda, states);
+    remember_states();
     report.solve_ns += since(solving);
   }
 
@@ -129,9 +185,10 @@ struct Simulation::State {
 
   void substep(double dt_s, double end_s) {
     settle(events);
+    look_for_inverted(events);
     tissue.compliance().evict(kIdleStepsMax);
     for (std::size_t i = 0; i < tools.size(); ++i)
-      tools[i].move(moving[i], tissue, needles, time_s, events);
+      tools[i].move(moving[i], tissue, needles, threads, time_s, events);
     for (std::size_t n = 0; n < needles.size(); ++n) {
       std::optional<scene::Pose> target_pose;
       int holder = -1;
@@ -142,11 +199,17 @@ struct Simulation::State {
         }
       needles[n].set_holder(holder);
       needles[n].begin(tissue, dt_s, holder >= 0, target_pose);
-      needles[n].find_tip_contact(tissue, kReach_m);
+      needles[n].find_contact(tissue, kReach_m);
+    }
+    for (ThreadBody& thread : threads) thread.follow(tissue, needles, tools, end_s);
+    if (contact) {
+      const auto start = Clock::now();
+      contact->update(tissue.positions_m(), *tissue.view().tree);
+      report.contact_ns += since(start);
     }
     for (int revision = 0;; ++revision) {
       build_rows();
-      solve(revision > 0);
+      solve();
       const bool may_revise = revision < kRevisionsMax;
       bool good = true;
       for (NeedleBody& needle : needles) good = needle.read(rows, lambda, may_revise) && good;
@@ -154,6 +217,9 @@ struct Simulation::State {
       if (good) break;
     }
     for (NeedleBody& needle : needles) needle.commit(rows, lambda, states);
+    for (ThreadBody& thread : threads)
+      thread.commit(rows, lambda, solver.gap_m(), states, end_s, events);
+    if (contact) contact->read(lambda);
     tissue.apply(rows, lambda);
     settled = false;
     time_s = end_s;
@@ -172,6 +238,8 @@ struct Simulation::State {
       motion = std::max({motion, (to.position_m - from.position_m).norm(),
                          kSubstepArm_m * from.orientation.angularDistance(to.orientation)});
     }
+    for (const ThreadBody& thread : threads)
+      motion = std::max(motion, thread.programmed_motion_m(time_s, time_s + dt_s));
     const int least = dt_s > kSlowStep_s ? kSlowSubsteps : 1;
     return std::clamp(static_cast<int>(std::ceil(motion / kSubstepMotion_m)), least, kSubstepsMax);
   }
@@ -185,6 +253,7 @@ struct Simulation::State {
     report.substeps = substeps_for(target_inputs, dt_s);
     for (NeedleBody& needle : needles) needle.clear_world_changed();
     for (ToolBody& tool : tools) tool.clear_world_changed();
+    for (ThreadBody& thread : threads) thread.clear_world_changed();
     if (dt_s != period_s) {
       base_s = time_s;
       period_s = dt_s;
@@ -209,6 +278,7 @@ struct Simulation::State {
     const auto start = Clock::now();
     bool changed = false;
     for (const NeedleBody& needle : needles) changed = changed || needle.world_changed();
+    for (const ThreadBody& thread : threads) changed = changed || thread.world_changed();
     for (std::size_t i = 0; i < tools.size(); ++i) {
       response_builder.build(rows, solver, lambda, needles, tools[i], static_cast<int>(i),
                              responses[i]);
@@ -221,6 +291,50 @@ struct Simulation::State {
     report.rows = rows.size();
     report.active_unilateral_rows = last_solve.active_bounded_rows;
     report_needles();
+    report_threads();
+    report_contacts();
+  }
+
+  void report_contacts() {
+    contact_points.clear();
+    for (std::size_t n = 0; n < needles.size(); ++n)
+      for (const ShaftContact::Touch& touch : needles[n].shaft().touches()) {
+        if (touch.force_n <= 0.0) continue;
+        ContactPoint point;
+        point.position_m = needle::position(tissue.view(), touch.at);
+        point.normal = touch.normal;
+        point.force_n = touch.force_n;
+        point.gap_m = touch.gap_m;
+        point.tissue = tissue.tissue_of_triangle(touch.at.triangle);
+        point.needle = static_cast<int>(n);
+        contact_points.push_back(point);
+      }
+    report.contacts += static_cast<int>(contact_points.size());
+    report.contact_pairs = static_cast<int>(contact_points.size());
+    if (!contact) return;
+    const std::size_t needle_points = contact_points.size();
+    const auto x = tissue.positions_m();
+    for (const contact::Pair& pair : contact->pairs()) {
+      if (pair.force_n <= 0.0) continue;
+      ContactPoint point;
+      // Half way between the two sides; the normal leaves the side that is named first.
+      const bool edges = pair.kind == contact::PairKind::kEdgeEdge;
+      for (std::size_t i = 0; i < 4; ++i)
+        point.position_m += 0.5 * std::abs(pair.proximity.coefficient[i]) *
+                            x[static_cast<std::size_t>(pair.vertices[i])];
+      point.normal = pair.proximity.normal;
+      point.force_n = pair.force_n;
+      point.gap_m = pair.proximity.gap_m;
+      point.tissue = contact->tissue_of(pair, !edges);
+      point.other_tissue = contact->tissue_of(pair, edges);
+      contact_points.push_back(point);
+    }
+    report.contacts += static_cast<int>(contact_points.size() - needle_points);
+    report.contact_pairs += static_cast<int>(contact->pairs().size());
+  }
+
+  void report_threads() {
+    for (std::size_t t = 0; t < threads.size(); ++t) threads[t].report(tissue, thread_states[t]);
   }
 
   void report_needles() {
@@ -243,7 +357,11 @@ struct Simulation::State {
     for (NeedleBody& needle : needles) needle.reset();
     for (ToolBody& tool : tools) tool.reset();
     tissue.reset();
+    for (ThreadBody& thread : threads) thread.reset(tissue);
+    if (contact) contact->reset();
+    contact_points.clear();
     settled = true;
+    inverted_told = 0;
     std::fill(inputs.begin(), inputs.end(), ToolInput());
     for (ToolResponse& response : responses) {
       response = {};
@@ -255,7 +373,9 @@ struct Simulation::State {
     time_s = base_s = period_s = 0.0;
     steps_since_base = 0;
     rows.clear();
+    warm.clear();
     report_needles();
+    report_threads();
   }
 };
 
@@ -265,7 +385,10 @@ Simulation::Simulation(Simulation&&) noexcept = default;
 Simulation& Simulation::operator=(Simulation&&) noexcept = default;
 
 void Simulation::step(std::span<const ToolInput> tools, double dt_s) { state_->step(tools, dt_s); }
-void Simulation::update_displacements() { state_->settle(state_->pending_events); }
+void Simulation::update_displacements() {
+  state_->settle(state_->pending_events);
+  state_->look_for_inverted(state_->pending_events);
+}
 void Simulation::reset() { state_->reset(); }
 double Simulation::time_s() const { return state_->time_s; }
 std::span<const ToolResponse> Simulation::responses() const { return state_->responses; }
@@ -282,8 +405,6 @@ std::span<const geometry::Vec3> Simulation::rest_positions_m() const {
   return state_->tissue.model().vertices_m;
 }
 std::span<const geometry::Tet> Simulation::tets() const { return state_->tissue.model().tets; }
-void Simulation::vertex_stress_pa(std::span<double> stress) const {
-  state_->tissue.vertex_stress_pa(stress);
-}
+void Simulation::compute_stress(StressField& field) const { state_->tissue.compute_stress(field); }
 
 }  // namespace sutured::simulation

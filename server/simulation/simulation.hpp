@@ -22,6 +22,18 @@ struct Body {
   std::vector<std::int32_t> surface_vertices;  ///< body-local, sorted: the ones `surface` uses
 };
 
+/// Cauchy stress (xx, yy, zz, xy, yz, zx; Pa) of the last displacements. `fem/elements.hpp` has its
+/// invariants: `von_mises_pa` and `principal_stress_pa`.
+///
+///     σ_v = Σ_t V_t σ_t / Σ_t V_t        over the tets t at vertex v, V_t their volumes at rest
+///
+/// The tensors are averaged and the invariants taken of the mean, so that what is shown at a vertex
+/// is the invariant of one stress. Where materials meet, the mean is over all of them.
+struct StressField {
+  std::vector<Vec6> tet_pa;     ///< one per tet: constant in a linear tetrahedron
+  std::vector<Vec6> vertex_pa;  ///< one per vertex: σ_v
+};
+
 /// Tissue, needles and tools of one scene, stepped through quasi-static equilibria.
 ///
 /// Thread: one at a time. Allocates: in the constructor, and in steps that touch new vertices.
@@ -56,8 +68,9 @@ class Simulation {
   [[nodiscard]] std::span<const geometry::Vec3> positions_m() const;
   [[nodiscard]] std::span<const geometry::Vec3> rest_positions_m() const;
   [[nodiscard]] std::span<const geometry::Tet> tets() const;  ///< global vertex indices
-  /// Von Mises stress per vertex (Pa), volume-averaged from the tets, of the last displacements.
-  void vertex_stress_pa(std::span<double> stress) const;
+  /// Computes the stress of all tets and vertices, of the last displacements, in one pass.
+  /// Allocates: only where `field` is smaller than the tissue.
+  void compute_stress(StressField& field) const;
 
  private:
   struct State;

@@ -75,6 +75,13 @@ fem::Model assemble_model(const scene::Scene& scene) {
 
 TissueState::TissueState(const scene::Scene& scene) : model_(assemble_model(scene)) {
   const std::size_t n = model_.vertices_m.size();
+  vertex_volume_m3_.assign(n, 0.0);
+  for (const geometry::Tet& tet : model_.tets) {
+    std::array<Vec3, 4> x;
+    for (std::size_t a = 0; a < 4; ++a) x[a] = model_.vertices_m[at(tet[a])];
+    rest_shapes_.push_back(fem::tet_shape(x));
+    for (const std::int32_t v : tet) vertex_volume_m3_[at(v)] += rest_shapes_.back().volume_m3;
+  }
   adjacency_ = geometry::tet_adjacency(model_.tets);
   surface_ = geometry::boundary_surface(model_.tets, adjacency_);
   triangle_of_face_.assign(4 * model_.tets.size(), -1);
@@ -135,6 +142,7 @@ TissueState::TissueState(const scene::Scene& scene) : model_(assemble_model(scen
         model_.vertices_m[v] +
         Vec3(displacement_m_[3 * v], displacement_m_[3 * v + 1], displacement_m_[3 * v + 2]);
   free_positions_m_ = positions_m_;
+  count_inverted();
   tree_ = geometry::TriangleTree(surface_.triangles, positions_m_);
 }
 
@@ -152,7 +160,20 @@ void TissueState::refresh() {
         model_.vertices_m[v] +
         Vec3(displacement_m_[3 * v], displacement_m_[3 * v + 1], displacement_m_[3 * v + 2]);
   tree_.refit(positions_m_);
+  count_inverted();
   stale_ = false;
+}
+
+void TissueState::count_inverted() {
+  inverted_tets_ = 0;
+  first_inverted_tet_ = -1;
+  for (std::size_t t = 0; t < model_.tets.size(); ++t) {
+    const auto& [a, b, c, d] = model_.tets[t];
+    if (geometry::signed_volume(positions_m_[at(a)], positions_m_[at(b)], positions_m_[at(c)],
+                                positions_m_[at(d)]) > 0.0)
+      continue;
+    if (inverted_tets_++ == 0) first_inverted_tet_ = static_cast<std::int32_t>(t);
+  }
 }
 
 void TissueState::reset() {
@@ -160,26 +181,22 @@ void TissueState::reset() {
   refresh();
 }
 
-void TissueState::vertex_stress_pa(std::span<double> stress) const {
-  std::vector<double> volume(positions_m_.size(), 0.0);
-  std::fill(stress.begin(), stress.end(), 0.0);
+void TissueState::compute_stress(StressField& field) const {
+  field.tet_pa.resize(model_.tets.size());
+  field.vertex_pa.assign(positions_m_.size(), Vec6::Zero());
   for (std::size_t t = 0; t < model_.tets.size(); ++t) {
-    std::array<Vec3, 4> x, u;
+    std::array<Vec3, 4> u;
     for (std::size_t a = 0; a < 4; ++a) {
       const auto v = at(model_.tets[t][a]);
-      x[a] = model_.vertices_m[v];
       u[a] = Vec3(displacement_m_[3 * v], displacement_m_[3 * v + 1], displacement_m_[3 * v + 2]);
     }
-    const fem::TetShape shape = fem::tet_shape(x);
-    const double von_mises = fem::von_mises_pa(
-        fem::tet_stress_pa(shape, model_.materials[at(model_.material_of_tet[t])], u));
-    for (std::size_t a = 0; a < 4; ++a) {
-      stress[at(model_.tets[t][a])] += shape.volume_m3 * von_mises;
-      volume[at(model_.tets[t][a])] += shape.volume_m3;
-    }
+    field.tet_pa[t] =
+        fem::tet_stress_pa(rest_shapes_[t], model_.materials[at(model_.material_of_tet[t])], u);
+    for (const std::int32_t v : model_.tets[t])
+      field.vertex_pa[at(v)] += rest_shapes_[t].volume_m3 * field.tet_pa[t];
   }
-  for (std::size_t v = 0; v < volume.size(); ++v)
-    if (volume[v] > 0.0) stress[v] /= volume[v];
+  for (std::size_t v = 0; v < field.vertex_pa.size(); ++v)
+    field.vertex_pa[v] /= vertex_volume_m3_[v];
 }
 
 }  // namespace sutured::simulation

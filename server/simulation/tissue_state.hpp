@@ -50,15 +50,26 @@ class TissueState {
   [[nodiscard]] int tissue_of_triangle(std::int32_t triangle) const {
     return tissue_of_tet(surface_.tet[static_cast<std::size_t>(triangle)]);
   }
+  [[nodiscard]] const geometry::BoundarySurface& surface() const { return surface_; }
   [[nodiscard]] double young_modulus_pa(std::int32_t tet) const {
     return model_
         .materials[static_cast<std::size_t>(model_.material_of_tet[static_cast<std::size_t>(tet)])]
         .young_modulus_pa;
   }
-  void vertex_stress_pa(std::span<double> stress) const;
+  /// Tets turned inside out or flat by the last `refresh`: signed volume of their deformed corners
+  /// not above zero. Linear elasticity does not resist that; what it says of them is no tissue.
+  [[nodiscard]] int inverted_tets() const { return inverted_tets_; }
+  /// The first of them, or −1.
+  [[nodiscard]] std::int32_t first_inverted_tet() const { return first_inverted_tet_; }
+  /// Computes the stress of the last `refresh`; allocates only where `field` is too small.
+  void compute_stress(StressField& field) const;
 
  private:
+  void count_inverted();
+
   fem::Model model_;
+  std::vector<fem::TetShape> rest_shapes_;  ///< per tet
+  std::vector<double> vertex_volume_m3_;    ///< of the tets at each vertex, at rest
   std::vector<int> tissue_of_tet_;
   std::vector<Body> bodies_;
   geometry::TetAdjacency adjacency_;
@@ -69,6 +80,8 @@ class TissueState {
   std::vector<double> free_displacement_m_;  ///< 3n: of loads and prescribed displacements
   std::vector<double> displacement_m_;       ///< 3n
   std::vector<Vec3> free_positions_m_, positions_m_;
+  int inverted_tets_ = 0;
+  std::int32_t first_inverted_tet_ = -1;
   bool stale_ = false;
 };
 

@@ -5,6 +5,8 @@
 #include <array>
 #include <cmath>
 
+#include "simulation/thread_body.hpp"
+
 namespace sutured::simulation {
 namespace {
 
@@ -55,6 +57,7 @@ Vec6 ToolBody::jacobian(const Vec3& point_m, const Vec3& direction) const {
 
 std::string ToolBody::held_name(const TissueState& tissue, std::span<NeedleBody> needles) const {
   if (held_ == Held::kNeedle) return needles[at(needle_)].description().name;
+  if (held_ == Held::kThread) return scene_->threads[at(thread_)].name;
   return scene_->tissues[at(tissue.tissue_of_triangle(tissue_point_.triangle))].name;
 }
 
@@ -64,6 +67,8 @@ HeldThing ToolBody::held(const TissueState& tissue) const {
       return {HeldKind::kNeedle, needle_};
     case Held::kTissue:
       return {HeldKind::kTissue, tissue.tissue_of_triangle(tissue_point_.triangle)};
+    case Held::kThread:
+      return {HeldKind::kThread, thread_};
     case Held::kNothing:
       break;
   }
@@ -71,17 +76,18 @@ HeldThing ToolBody::held(const TissueState& tissue) const {
 }
 
 void ToolBody::move(const ToolInput& input, const TissueState& tissue,
-                    std::span<NeedleBody> needles, double time_s, std::vector<Event>& events) {
+                    std::span<NeedleBody> needles, std::span<ThreadBody> threads, double time_s,
+                    std::vector<Event>& events) {
   input_ = input;
   if (description_.kind == scene::ToolKind::kProbe) return;
   const bool closes = input.present && (closed_ ? input.jaw > kOpens : input.jaw > kCloses);
-  if (closes && !closed_) grasp(tissue, needles, time_s, events);
-  if (!closes && holds()) release(tissue, needles, time_s, events);
+  if (closes && !closed_) grasp(tissue, needles, threads, time_s, events);
+  if (!closes && holds()) release(tissue, needles, threads, time_s, events);
   closed_ = closes;
 }
 
-void ToolBody::grasp(const TissueState& tissue, std::span<NeedleBody> needles, double time_s,
-                     std::vector<Event>& events) {
+void ToolBody::grasp(const TissueState& tissue, std::span<NeedleBody> needles,
+                     std::span<ThreadBody> threads, double time_s, std::vector<Event>& events) {
   double best = description_.capture_radius_m;
   for (std::size_t n = 0; n < needles.size(); ++n) {
     const double s = needles[n].curve().nearest(needles[n].pose(), input_.position_m);
@@ -93,6 +99,15 @@ void ToolBody::grasp(const TissueState& tissue, std::span<NeedleBody> needles, d
     held_ = Held::kNeedle;
     needle_ = static_cast<int>(n);
     needle_s_ = s;
+  }
+  std::optional<ThreadGrasp> thread_grasp;
+  for (std::size_t t = 0; t < threads.size(); ++t) {
+    const auto found = threads[t].nearest(input_.position_m, best);
+    if (!found || (held_ != Held::kNothing && found->distance_m >= best)) continue;
+    best = found->distance_m;
+    held_ = Held::kThread;
+    thread_ = static_cast<int>(t);
+    thread_grasp = found;
   }
   const auto view = tissue.view();
   if (const auto nearest = view.tree->nearest(input_.position_m, best, view.positions_m)) {
@@ -109,6 +124,9 @@ void ToolBody::grasp(const TissueState& tissue, std::span<NeedleBody> needles, d
     point = needle.curve().point(needle.pose(), needle_s_);
     needle_in_tool_ = input_.orientation.conjugate() * needle.pose().orientation;
     needle.set_holder(index_);
+  } else if (held_ == Held::kThread) {
+    point = thread_grasp->point_m;
+    threads[at(thread_)].grip(index_, *thread_grasp);
   } else {
     point = needle::position(view, tissue_point_);
   }
@@ -120,14 +138,15 @@ void ToolBody::grasp(const TissueState& tissue, std::span<NeedleBody> needles, d
       {EventKind::kGrasp, time_s, description_.name, held_name(tissue, needles), point, 0.0});
 }
 
-void ToolBody::release(const TissueState& tissue, std::span<NeedleBody> needles, double time_s,
-                       std::vector<Event>& events) {
+void ToolBody::release(const TissueState& tissue, std::span<NeedleBody> needles,
+                       std::span<ThreadBody> threads, double time_s, std::vector<Event>& events) {
   events.push_back({EventKind::kRelease, time_s, description_.name, held_name(tissue, needles),
                     to_world(anchor_tool_m_), force_n_.norm()});
   if (held_ == Held::kNeedle && needles[at(needle_)].holder() == index_)
     needles[at(needle_)].set_holder(-1);
+  if (held_ == Held::kThread) threads[at(thread_)].release(index_);
   held_ = Held::kNothing;
-  needle_ = -1;
+  needle_ = thread_ = -1;
   slip_reported_ = false;
   world_changed_ = true;
 }
@@ -150,7 +169,7 @@ void ToolBody::add_rows(const TissueState& tissue, std::span<NeedleBody> needles
   if (!input_.present) return;
   if (description_.kind == scene::ToolKind::kProbe) {
     add_probe_rows(tissue, reach_m, rows);
-  } else if (holds()) {
+  } else if (held_ == Held::kNeedle || held_ == Held::kTissue) {
     const Vec3 anchor = to_world(anchor_tool_m_);
     const double compliance = 1.0 / description_.grip_stiffness_n_per_m;
     const auto force_axes = frame(force_axis_);
@@ -267,23 +286,25 @@ bool ToolBody::read(const ConstraintRows& rows, std::span<const double> lambda, 
   const bool touched = touching_;
   touching_ = holds();
   contacts_ = 0;
-  for (int i = first_row_; i < first_row_ + rows_; ++i) {
+  for (int i = 0; i < rows.size(); ++i) {
+    const Vec6* const felt = rows[i].jacobian_of(index_);
+    if (felt == nullptr) continue;
     const double l = lambda[at(i)];
-    const Vec6& j = rows[i].tool_jacobian;
-    wrench_ -= l * j;
+    wrench_ -= l * *felt;
+    const bool own = i >= first_row_ && i < first_row_ + rows_;
     if (description_.kind == scene::ToolKind::kProbe) {
       contacts_ += l > 0.0;
-    } else if (i - first_row_ < 3) {
-      force_n_ -= l * j.head<3>();
+    } else if (!own || i - first_row_ < 3) {
+      force_n_ -= l * felt->head<3>();
     } else {
-      torque_nm_ -= l * j.tail<3>();
+      torque_nm_ -= l * felt->tail<3>();
     }
   }
   touching_ = touching_ || contacts_ > 0;
   if (touching_ != touched) world_changed_ = true;
   if (!holds()) return true;
   arm_moment_ = (to_world(anchor_tool_m_) - input_.position_m) * force_n_.transpose();
-  if (!may_revise) return true;
+  if (!may_revise || held_ == Held::kThread) return true;
   bool good = true;
   if (!slipping_force_ && force_n_.norm() > description_.grip_force_max_n) {
     slipping_force_ = true;

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // One tool: a driver that grasps through a compliant grip, or a probe that pushes.
 //
-// A closing jaw grasps the nearest thing within its capture radius: a needle (six rows) or a
-// point of a tissue's surface (three). With the tool's point a and the thing's point q,
+// A closing jaw grasps the nearest thing within its capture radius: a needle (six rows), a
+// point of a tissue's surface (three), or a point of a thread, whose span rows it then feels
+// (thread_body.hpp). With the tool's point a and the thing's point q,
 //
 //     gap = ε λ − (q − a),   ε = 1 / grip stiffness        force on the tool = λ
 //
@@ -22,6 +23,8 @@
 
 namespace sutured::simulation {
 
+class ThreadBody;
+
 class ToolBody {
  public:
   ToolBody(const scene::Scene& scene, int index);
@@ -30,7 +33,7 @@ class ToolBody {
 
   /// Moves to `input`; opens and closes the jaw. Call once a substep, tissue refreshed.
   void move(const ToolInput& input, const TissueState& tissue, std::span<NeedleBody> needles,
-            double time_s, std::vector<Event>& events);
+            std::span<ThreadBody> threads, double time_s, std::vector<Event>& events);
 
   /// Adds the rows of its grip or of its contacts.
   void add_rows(const TissueState& tissue, std::span<NeedleBody> needles, double reach_m,
@@ -50,6 +53,11 @@ class ToolBody {
   [[nodiscard]] const ToolInput& input() const { return input_; }
   [[nodiscard]] int needle() const { return held_ == Held::kNeedle ? needle_ : -1; }
   [[nodiscard]] bool holds() const { return held_ != Held::kNothing; }
+  [[nodiscard]] const scene::Tool& description() const { return description_; }
+  /// The point of the jaw that holds something, in the world.
+  [[nodiscard]] Vec3 grip_point_m() const { return to_world(anchor_tool_m_); }
+  /// Jacobian row of a point that moves with the tool along `direction`: direction · (t + ω × r).
+  [[nodiscard]] Vec6 jacobian(const Vec3& point_m, const Vec3& direction) const;
   [[nodiscard]] HeldThing held(const TissueState& tissue) const;
   [[nodiscard]] const Vec6& wrench() const { return wrench_; }
   [[nodiscard]] const Eigen::Matrix3d& arm_moment() const { return arm_moment_; }
@@ -59,18 +67,17 @@ class ToolBody {
   [[nodiscard]] int contacts() const { return contacts_; }
 
  private:
-  enum class Held : std::uint8_t { kNothing, kNeedle, kTissue };
+  enum class Held : std::uint8_t { kNothing, kNeedle, kTissue, kThread };
   [[nodiscard]] Vec3 to_world(const Vec3& local) const {
     return input_.position_m + input_.orientation * local;
   }
   [[nodiscard]] Vec3 to_tool(const Vec3& world) const {
     return input_.orientation.conjugate() * (world - input_.position_m);
   }
-  [[nodiscard]] Vec6 jacobian(const Vec3& point_m, const Vec3& direction) const;
-  void grasp(const TissueState& tissue, std::span<NeedleBody> needles, double time_s,
-             std::vector<Event>& events);
-  void release(const TissueState& tissue, std::span<NeedleBody> needles, double time_s,
-               std::vector<Event>& events);
+  void grasp(const TissueState& tissue, std::span<NeedleBody> needles,
+             std::span<ThreadBody> threads, double time_s, std::vector<Event>& events);
+  void release(const TissueState& tissue, std::span<NeedleBody> needles,
+               std::span<ThreadBody> threads, double time_s, std::vector<Event>& events);
   [[nodiscard]] std::string held_name(const TissueState& tissue,
                                       std::span<NeedleBody> needles) const;
   void add_probe_rows(const TissueState& tissue, double reach_m, constraints::ConstraintRows& rows);
@@ -82,6 +89,7 @@ class ToolBody {
   bool closed_ = false;
   Held held_ = Held::kNothing;
   int needle_ = -1;
+  int thread_ = -1;
   double needle_s_ = 0.0;  ///< where on the needle's axis the jaw holds it
   needle::BoundaryPoint tissue_point_;
   Vec3 anchor_tool_m_ = Vec3::Zero();  ///< a, in the tool's frame

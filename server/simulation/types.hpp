@@ -91,7 +91,8 @@ enum class EventKind : std::uint8_t {
   kTaut,
   kSlack,
   kUnthread,  ///< an end of a thread passed a puncture: that bite is gone
-  kInverted   ///< a tet was turned inside out; `force_n` counts them
+  kInverted   ///< tets are inside out, more than before; `subject` is the tissue of the first,
+              ///< `position_m` its centre, `force_n` their number
 };
 
 /// Something that happened in a step.
@@ -163,7 +164,8 @@ struct StepReport {
   int active_unilateral_rows = 0;
   int contacts = 0;
   double complementarity_residual = 0.0;  ///< dimensionless: see SolveReport::residual
-  int contact_pairs = 0;                  ///< in reach, of which `contacts` carry force
+  int inverted_tets = 0;  ///< most at once, in the equilibria whose displacements are known
+  int contact_pairs = 0;  ///< in reach, of which `contacts` carry force
   std::int64_t track_ns = 0, contact_ns = 0, assemble_ns = 0, solve_ns = 0, backward_ns = 0,
                model_ns = 0;
 };

@@ -170,7 +170,7 @@ void measure_roundtrip(Figures& figures) {
                                  std::to_string(served.domain), "--session", served.session});
   const testing::Process bare(
       {"/proc/self/exe", "--echo", std::to_string(echoed.domain), "--session", echoed.session});
-  const suture::Surgeon surgeon = suture::read_surgeon(kScene + "surgeon.csv");
+  const suture::Surgeon surgeon = suture::read_surgeon(kScene + "one_bite.csv");
   const suture::SurgeonTrack& track = surgeon.tracks.at(0);
 
   Pinger ours(served, track.tool), theirs(echoed, track.tool);

@@ -30,7 +30,7 @@ simulation::ToolInput input_at(const suture::SurgeonTrack* track, double time_s)
 void measure_step(Figures& figures) {
   constexpr int kPlays = 3;  // each from a cold start
   const scene::Scene scene = scene::read_scene(kScene + "scene.toml");
-  const suture::Surgeon surgeon = suture::read_surgeon(kScene + "surgeon.csv");
+  const suture::Surgeon surgeon = suture::read_surgeon(kScene + "one_bite.csv");
   std::vector<const suture::SurgeonTrack*> tracks;
   for (const auto& tool : scene.tools) tracks.push_back(surgeon.track(tool.name));
   const auto steps = static_cast<std::int64_t>(surgeon.end_s() * scene.rate_hz);

@@ -48,7 +48,7 @@ struct Snapshot {
 TEST(HapticFidelity, OfANeedleInTissueIsWithinOnePercentOfAResolve) {
   const std::string folder = std::string(SUTURED_SOURCE_DIR) + "/server/scenes/anastomosis/";
   const scene::Scene scene = scene::read_scene(folder + "scene.toml");
-  const suture::Surgeon surgeon = suture::read_surgeon(folder + "surgeon.csv");
+  const suture::Surgeon surgeon = suture::read_surgeon(folder + "one_bite.csv");
   const suture::SurgeonTrack* track = surgeon.track("driver");
   ASSERT_NE(track, nullptr);
   std::size_t driver = 0;

@@ -429,6 +429,36 @@ TEST_F(ServeHand, IsSafeWhenTheServerIsKilledAndFeelsTheNextOne) {
   expect_safe();
 }
 
+TEST_F(Serve, ShowsStressOfThePressedTissue) {
+  start_server();
+  const suture::Participant mesh(session_, suture::Channel::kMesh);
+  suture::Reader<suture::v1::MeshFrame> frames(mesh);
+  const auto device = start_device();
+  await_rendering();
+  double shown_pa = 0.0;
+  const auto look = [&](const suture::v1::MeshFrame& frame, const suture::SampleInfo& info) {
+    if (!info.valid) return;
+    const auto von_mises = suture::span_of(frame.von_mises_pa);
+    const auto principal = suture::span_of(frame.principal_pa);
+    ASSERT_EQ(suture::span_of(frame.position_m).size(), 3 * von_mises.size());
+    ASSERT_EQ(principal.size(), 3 * von_mises.size());
+    for (std::size_t v = 0; v < von_mises.size(); ++v) {
+      const double a = principal[3 * v], b = principal[3 * v + 1], c = principal[3 * v + 2];
+      ASSERT_GE(a, b);
+      ASSERT_GE(b, c);
+      // Single precision of numbers that may be larger than their differences.
+      ASSERT_NEAR(von_mises[v],
+                  std::sqrt(((a - b) * (a - b) + (b - c) * (b - c) + (c - a) * (c - a)) / 2),
+                  1e-5 * (std::abs(a) + std::abs(c)));
+      shown_pa = std::max(shown_pa, static_cast<double>(von_mises[v]));
+    }
+  };
+  EXPECT_TRUE(eventually([&] {
+    frames.take_each(look);
+    return shown_pa > 100.0 || HasFatalFailure();
+  })) << server_->output();
+}
+
 TEST_F(Serve, EndsCleanlyOnEitherSignalWithTheForceAtZero) {
   for (const int signal : {SIGINT, SIGTERM}) {
     start_server();

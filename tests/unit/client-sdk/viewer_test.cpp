@@ -76,6 +76,9 @@ TEST(Viewer, SeesMeshesNeedlesAndEvents) {
   callbacks.on_frame = [&](const MeshFrame& got) {
     const std::lock_guard lock(mutex);
     EXPECT_EQ(got.revision, 3U);
+    EXPECT_EQ(got.von_mises_pa.size(), 3U);
+    EXPECT_EQ(got.principal_pa.size(), 9U);
+    EXPECT_EQ(got.principal_pa.back(), -2.0F);
     seen_positions.assign(got.position_m.begin(), got.position_m.end());
   };
   callbacks.on_needle = [&](const NeedleView& got) {
@@ -93,6 +96,9 @@ TEST(Viewer, SeesMeshesNeedlesAndEvents) {
   set_text(frame.body, "vessel");
   frame.revision = 3;
   lend(frame.position_m, std::span<const float>(positions));
+  const std::vector<float> von_mises(3, 3.0F), principal{1, 0, -2, 1, 0, -2, 1, 0, -2};
+  lend(frame.von_mises_pa, std::span<const float>(von_mises));
+  lend(frame.principal_pa, std::span<const float>(principal));
   v1::NeedleState needle{};
   set_text(needle.needle, "needle");
   needle.shape = suture_v1_NEEDLE_ARC;

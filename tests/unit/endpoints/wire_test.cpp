@@ -93,7 +93,8 @@ TEST(SetEvent, NamesEveryKindOfTheSimulation) {
                                        {EventKind::kExit, suture_v1_EVENT_EXIT},
                                        {EventKind::kGripSlip, suture_v1_EVENT_GRIP_SLIP},
                                        {EventKind::kLimit, suture_v1_EVENT_LIMIT},
-                                       {EventKind::kSolverResidual, suture_v1_EVENT_SOLVER}}) {
+                                       {EventKind::kSolverResidual, suture_v1_EVENT_SOLVER},
+                                       {EventKind::kInverted, suture_v1_EVENT_SOLVER}}) {
     suture::v1::Event wire{};
     set_event(wire, {kind, 1.5, "needle", "proximal", {1, 2, 3}, 0.05});
     EXPECT_EQ(wire.kind, expected);
@@ -101,6 +102,7 @@ TEST(SetEvent, NamesEveryKindOfTheSimulation) {
     EXPECT_EQ(suture::text_of(wire.object), "proximal");
     EXPECT_EQ(wire.simulation_time_s, 1.5);
     EXPECT_EQ(wire.value, 0.05);
+    EXPECT_EQ(suture::text_of(wire.unit), kind == EventKind::kInverted ? "tets" : "N");
   }
 }
 
@@ -116,6 +118,7 @@ scene::Scene named_scene() {
   scene.tools[1].name = "assistant";
   scene.threads.resize(1);
   scene.threads[0].name = "thread";
+  scene.threads[0].diameter_m = 0.0002;
   return scene;
 }
 
@@ -165,6 +168,7 @@ TEST(SetThread, LendsTheCourseAndKeepsEveryFigure) {
   set_thread(wire, named_scene(), 0, state, punctures);
   EXPECT_EQ(suture::text_of(wire.thread), "thread");
   EXPECT_EQ(wire.length_m, 0.45);
+  EXPECT_EQ(wire.diameter_m, 0.0002);
   EXPECT_EQ(wire.tension_n, 0.2);
   EXPECT_EQ(wire.slack_m, 0.01);
   EXPECT_TRUE(wire.taut);

@@ -83,5 +83,13 @@ TEST_F(WarmStep, BringingDisplacementsUpToDateAllocatesNothing) {
   EXPECT_EQ(heap.allocations(), 0U);
 }
 
+TEST_F(WarmStep, ComputingStressAgainAllocatesNothing) {
+  StressField field;
+  sim_.compute_stress(field);
+  const testing::HeapGuard heap;
+  sim_.compute_stress(field);
+  EXPECT_EQ(heap.allocations(), 0U);
+}
+
 }  // namespace
 }  // namespace sutured::simulation

@@ -1,0 +1,353 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "contact/tissue_contact.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace sutured::contact {
+namespace {
+
+// A pair is taken in while its gap is below this and what three steps at the present speed close.
+constexpr double kReach_m = 1.5e-5;
+constexpr double kReachMax_m = 4e-4;
+// Deeper than this a vertex is taken to be on another side of the body.
+constexpr double kDepthMax_m = 8e-4;
+// A pair that is new is no deeper than this and what two steps at the present speed press in.
+constexpr double kNewDepth_m = 5e-5;
+constexpr double kMargin_m = 3e-4;
+constexpr double kChoose_m = 2e-6;
+// Features face each other beyond this angle.
+constexpr double kFacingCosine = -0.3;
+// How far outside its feature a nearest point may lie, as a share: new pairs, and those that
+// carried force.
+constexpr double kOutside = 0.005, kOutsideCarried = 0.05;
+// Slope by which a surface may rise above the plane of an edge pair.
+constexpr double kRise = 0.05, kRiseCarried = 0.15;
+// Edges that bend less than this slope on both sides add nothing to vertices and faces.
+constexpr double kFlat = 0.02;
+constexpr double kSineMin = 0.05;
+// Row compliance times modulus: 2e-5 m/N at 200 kPa.
+constexpr double kComplianceTimesModulus = 2e-5 * 2e5;
+// Above this share of E h² a pair's force is large enough to make its step overshoot.
+constexpr double kResistedForce = 0.05;
+constexpr double kRestBehind_m = 1e-6;
+
+std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
+
+bool shares_vertex(const geometry::Triangle& t, std::int32_t v) {
+  return t[0] == v || t[1] == v || t[2] == v;
+}
+
+}  // namespace
+
+TissueContact::TissueContact(const geometry::BoundarySurface& surface, std::span<const Vec3> rest_m,
+                             std::vector<int> tissue_of_triangle,
+                             std::vector<double> young_modulus_pa)
+    : surface_(&surface),
+      features_(surface.triangles, rest_m.size()),
+      rest_m_(rest_m.begin(), rest_m.end()),
+      tissue_of_triangle_(std::move(tissue_of_triangle)),
+      young_modulus_pa_(std::move(young_modulus_pa)),
+      normals_(surface.triangles.size()),
+      near_vertex_(features_.vertices().size()),
+      near_edge_(features_.edges().size()),
+      vertex_due_(features_.vertices().size()),
+      edge_due_(features_.edges().size()) {
+  for (const SurfaceEdge& edge : features_.edges())
+    edge_length_m_ += (rest_m_[at(edge.vertices[0])] - rest_m_[at(edge.vertices[1])]).norm();
+  edge_length_m_ /= static_cast<double>(std::max<std::size_t>(1, features_.edges().size()));
+  reset();
+}
+
+void TissueContact::reset() {
+  std::fill(vertex_due_.begin(), vertex_due_.end(), -1.0);
+  std::fill(edge_due_.begin(), edge_due_.end(), -1.0);
+  for (auto& list : near_vertex_) list.clear();
+  for (auto& list : near_edge_) list.clear();
+  close_vertices_.clear();
+  close_edges_.clear();
+  pairs_.clear();
+  known_.clear();
+  last_m_.clear();
+  motion_m_ = speed_m_ = 0.0;
+  chosen_at_m_ = -1.0;
+}
+
+const Pair* TissueContact::known(std::uint64_t key) const {
+  const auto found =
+      std::lower_bound(known_.begin(), known_.end(), key,
+                       [](const Pair& pair, std::uint64_t k) { return pair.key() < k; });
+  return found != known_.end() && found->key() == key ? &*found : nullptr;
+}
+
+/// Whether a pair that is near may be taken in: only one that was known may be deep.
+bool TissueContact::admit(Pair& pair) const {
+  const Proximity& p = pair.proximity;
+  const double reach_m = std::min(kReachMax_m, kReach_m + 3.0 * speed_m_);
+  if (!p.valid || p.gap_m > reach_m || p.gap_m < -kDepthMax_m) return false;
+  const Pair* const before = known(pair.key());
+  if (before == nullptr && p.gap_m < -(kNewDepth_m + 2.0 * speed_m_)) return false;
+  if (before != nullptr) pair.force_n = before->force_n;
+  return p.margin >= -(pair.force_n > 0.0 ? kOutsideCarried : kOutside);
+}
+
+/// Whether the vertex lies behind the triangle at rest already, on the other side of the wall.
+bool TissueContact::through_solid(std::int32_t vertex, std::int32_t triangle) const {
+  const auto& t = surface_->triangles[at(triangle)];
+  const auto there =
+      vertex_face(rest_m_[at(vertex)], rest_m_[at(t[0])], rest_m_[at(t[1])], rest_m_[at(t[2])]);
+  return !there.valid || there.gap_m < -kRestBehind_m;
+}
+
+Vec3 TissueContact::edge_normal(const SurfaceEdge& edge) const {
+  Vec3 sum = normals_[at(edge.triangles[0])];
+  if (edge.triangles[1] >= 0) sum += normals_[at(edge.triangles[1])];
+  return sum;
+}
+
+std::int32_t TissueContact::triangle_of(const Pair& pair, bool second) const {
+  const std::int32_t feature = second ? pair.second : pair.first;
+  if (pair.kind == PairKind::kEdgeEdge) return features_.edges()[at(feature)].triangles[0];
+  return second ? feature : features_.triangles_at(feature)[0];
+}
+
+int TissueContact::tissue_of(const Pair& pair, bool second) const {
+  return tissue_of_triangle_[at(triangle_of(pair, second))];
+}
+
+void TissueContact::search(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree) {
+  const double kept = kReachMax_m + kMargin_m, radius = kept + 0.25 * edge_length_m_;
+  // Not all look again at once.
+  const auto spread = [](std::size_t i) {
+    return 0.5 + 0.5 * static_cast<double>((i * 2654435761U) % 1024U) / 1024.0;
+  };
+  const auto vertices = features_.vertices();
+  const auto& triangles = surface_->triangles;
+  const auto facing = [&](std::int32_t a, std::int32_t b) {
+    return normals_[at(a)].dot(normals_[at(b)]) < kFacingCosine;
+  };
+  bool changed = false;
+  for (std::size_t i = 0; i < vertices.size(); ++i) {
+    if (vertex_due_[i] > motion_m_) continue;
+    ++searches_;
+    changed = true;
+    const std::int32_t v = vertices[i];
+    const Vec3& x = positions_m[at(v)];
+    double nearest = radius;
+    near_vertex_[i].clear();
+    const Vec3 half = Vec3::Constant(radius);
+    tree.for_each_overlap({x - half, x + half}, [&](std::int32_t t) {
+      if (shares_vertex(triangles[at(t)], v)) return;
+      const auto own = features_.triangles_at(v);
+      if (std::none_of(own.begin(), own.end(), [&](auto mine) { return facing(mine, t); })) return;
+      const bool self = tissue_of_triangle_[at(own[0])] == tissue_of_triangle_[at(t)];
+      if (self && through_solid(v, t)) return;
+      const auto closest = geometry::closest_point_on_triangle(
+          x, positions_m[at(triangles[at(t)][0])], positions_m[at(triangles[at(t)][1])],
+          positions_m[at(triangles[at(t)][2])]);
+      const double distance = std::sqrt(closest.squared_distance_m2);
+      if (distance <= kept) near_vertex_[i].push_back(t);
+      nearest = std::min(nearest, distance);
+    });
+    // What is kept holds for half the margin; where nothing is near, for longer.
+    const double clear = near_vertex_[i].empty() ? nearest - kReachMax_m : kMargin_m;
+    vertex_due_[i] = motion_m_ + 0.5 * spread(i) * clear;
+    std::sort(near_vertex_[i].begin(), near_vertex_[i].end());
+  }
+  const auto edges = features_.edges();
+  for (std::size_t i = 0; i < edges.size(); ++i) {
+    if (edge_due_[i] > motion_m_) continue;
+    ++searches_;
+    changed = true;
+    const SurfaceEdge& edge = edges[i];
+    const Vec3 &a = positions_m[at(edge.vertices[0])], &b = positions_m[at(edge.vertices[1])];
+    double nearest = radius;
+    near_edge_[i].clear();
+    const Vec3 half = Vec3::Constant(radius);
+    tree.for_each_overlap({a.cwiseMin(b) - half, a.cwiseMax(b) + half}, [&](std::int32_t t) {
+      if (!facing(edge.triangles[0], t) &&
+          !(edge.triangles[1] >= 0 && facing(edge.triangles[1], t)))
+        return;
+      const bool self = tissue_of_triangle_[at(edge.triangles[0])] == tissue_of_triangle_[at(t)];
+      if (self && through_solid(edge.vertices[0], t)) return;
+      for (const auto f : features_.edges_of(t)) {
+        if (f <= static_cast<std::int32_t>(i)) continue;  // each pair once
+        const SurfaceEdge& other = edges[at(f)];
+        if (shares_vertex({other.vertices[0], other.vertices[1], -1}, edge.vertices[0]) ||
+            shares_vertex({other.vertices[0], other.vertices[1], -1}, edge.vertices[1]))
+          continue;
+        // A lower bound of the distance suffices here.
+        const Vec3 &c = positions_m[at(other.vertices[0])], &d = positions_m[at(other.vertices[1])];
+        const double distance = geometry::Box(a.cwiseMin(b), a.cwiseMax(b))
+                                    .exteriorDistance(geometry::Box(c.cwiseMin(d), c.cwiseMax(d)));
+        if (distance <= kept) near_edge_[i].push_back(f);
+        nearest = std::min(nearest, distance);
+      }
+    });
+    const double clear = near_edge_[i].empty() ? nearest - kReachMax_m : kMargin_m;
+    edge_due_[i] = motion_m_ + 0.5 * spread(i) * clear;
+    std::sort(near_edge_[i].begin(), near_edge_[i].end());
+    near_edge_[i].erase(std::unique(near_edge_[i].begin(), near_edge_[i].end()),
+                        near_edge_[i].end());
+  }
+  if (!changed) return;
+  close_vertices_.clear();
+  close_edges_.clear();
+  for (std::size_t i = 0; i < near_vertex_.size(); ++i)
+    if (!near_vertex_[i].empty()) close_vertices_.push_back(i);
+  for (std::size_t i = 0; i < near_edge_.size(); ++i)
+    if (!near_edge_[i].empty()) close_edges_.push_back(i);
+}
+
+void TissueContact::choose_vertex(std::int32_t vertex, std::span<const std::int32_t> triangles,
+                                  std::span<const Vec3> positions_m) {
+  const std::size_t first = pairs_.size();
+  double shallowest = -kDepthMax_m;
+  for (const std::int32_t t : triangles) {
+    const auto own = features_.triangles_at(vertex);
+    const Vec3& n = normals_[at(t)];
+    if (std::none_of(own.begin(), own.end(),
+                     [&](auto mine) { return normals_[at(mine)].dot(n) < kFacingCosine; }))
+      continue;
+    Pair pair;
+    pair.kind = PairKind::kVertexFace;
+    pair.first = vertex;
+    pair.second = t;
+    const auto& corners = surface_->triangles[at(t)];
+    pair.vertices = {vertex, corners[0], corners[1], corners[2]};
+    renew(pair, positions_m);
+    if (!admit(pair)) continue;
+    if (pair.proximity.gap_m < 0.0) shallowest = std::max(shallowest, pair.proximity.gap_m);
+    pairs_.push_back(pair);
+  }
+  // Behind several faces, the vertex has come in through the nearest.
+  const auto deeper = [&](const Pair& pair) { return pair.proximity.gap_m < shallowest; };
+  pairs_.erase(
+      std::remove_if(pairs_.begin() + static_cast<std::ptrdiff_t>(first), pairs_.end(), deeper),
+      pairs_.end());
+}
+
+void TissueContact::choose_edge(std::int32_t index, std::span<const std::int32_t> others,
+                                std::span<const Vec3> positions_m) {
+  const auto edges = features_.edges();
+  const SurfaceEdge& edge = edges[at(index)];
+  for (const std::int32_t f : others) {
+    const SurfaceEdge& other = edges[at(f)];
+    Pair pair;
+    pair.kind = PairKind::kEdgeEdge;
+    pair.first = index;
+    pair.second = f;
+    pair.vertices = {edge.vertices[0], edge.vertices[1], other.vertices[0], other.vertices[1]};
+    renew(pair, positions_m);
+    if (!admit(pair)) continue;
+    // Around each crossing its own surface stays behind the plane across the normal.
+    const double rise = pair.force_n > 0.0 ? kRiseCarried : kRise;
+    double sharpest = 0.0;  // how far either surface falls away from its edge
+    const auto behind = [&](const SurfaceEdge& e, const Vec3& normal, double sign) {
+      const Vec3& origin = positions_m[at(e.vertices[0])];
+      const Vec3 along = (positions_m[at(e.vertices[1])] - origin).normalized();
+      for (std::size_t k = 0; k < 2; ++k) {
+        if (e.opposite[k] < 0) continue;
+        Vec3 out = positions_m[at(e.opposite[k])] - origin;
+        out -= along * along.dot(out);
+        const double slope = sign * normal.dot(out) / out.norm();
+        if (slope > rise) return false;
+        sharpest = std::max(sharpest, -slope);
+      }
+      return true;
+    };
+    const Vec3& n = pair.proximity.normal;
+    if (!behind(edge, n, 1.0) || !behind(other, n, -1.0)) continue;
+    // Between two surfaces that are flat here the vertices say it all.
+    if (sharpest < kFlat && pair.force_n <= 0.0) continue;
+    pairs_.push_back(pair);
+  }
+}
+
+void TissueContact::renew(Pair& pair, std::span<const Vec3> x) const {
+  const auto& v = pair.vertices;
+  if (pair.kind == PairKind::kVertexFace) {
+    pair.proximity = vertex_face(x[at(v[0])], x[at(v[1])], x[at(v[2])], x[at(v[3])]);
+    return;
+  }
+  const Vec3 outward = edge_normal(features_.edges()[at(pair.first)]) -
+                       edge_normal(features_.edges()[at(pair.second)]);
+  pair.proximity = edge_edge(x[at(v[0])], x[at(v[1])], x[at(v[2])], x[at(v[3])], outward, kSineMin);
+}
+
+void TissueContact::choose(std::span<const Vec3> positions_m) {
+  known_.swap(pairs_);
+  std::sort(known_.begin(), known_.end(),
+            [](const Pair& a, const Pair& b) { return a.key() < b.key(); });
+  pairs_.clear();
+  for (const std::size_t i : close_vertices_)
+    choose_vertex(features_.vertices()[i], near_vertex_[i], positions_m);
+  for (const std::size_t i : close_edges_)
+    choose_edge(static_cast<std::int32_t>(i), near_edge_[i], positions_m);
+  chosen_at_m_ = motion_m_;
+}
+
+void TissueContact::update(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree) {
+  const auto vertices = features_.vertices();
+  if (last_m_.empty()) {
+    for (const auto v : vertices) last_m_.push_back(positions_m[at(v)]);
+  } else {
+    double squared = 0.0;
+    for (std::size_t i = 0; i < vertices.size(); ++i) {
+      squared = std::max(squared, (positions_m[at(vertices[i])] - last_m_[i]).squaredNorm());
+      last_m_[i] = positions_m[at(vertices[i])];
+    }
+    speed_m_ = std::sqrt(squared);
+    motion_m_ += speed_m_;
+  }
+  const auto& triangles = surface_->triangles;
+  for (std::size_t t = 0; t < triangles.size(); ++t) {
+    const Vec3 &a = positions_m[at(triangles[t][0])], &b = positions_m[at(triangles[t][1])],
+               &c = positions_m[at(triangles[t][2])];
+    normals_[t] = (b - a).cross(c - a).normalized();
+  }
+  search(positions_m, tree);
+  if (chosen_at_m_ < 0.0 || motion_m_ - chosen_at_m_ > kChoose_m) {
+    choose(positions_m);
+  } else {
+    for (Pair& pair : pairs_) renew(pair, positions_m);
+  }
+}
+
+double TissueContact::softer_modulus_pa(const Pair& pair) const {
+  return std::min(young_modulus_pa_[at(triangle_of(pair, false))],
+                  young_modulus_pa_[at(triangle_of(pair, true))]);
+}
+
+void TissueContact::add_rows(std::span<const Vec3> positions_m, constraints::ConstraintRows& rows) {
+  first_row_ = rows.size();
+  for (const Pair& pair : pairs_) {
+    constraints::Row& row = rows.add(constraints::Bounds::unilateral(), kThickness_m,
+                                     kComplianceTimesModulus / softer_modulus_pa(pair));
+    row.key = pair.key();
+    for (std::size_t i = 0; i < 4; ++i)
+      rows.touch(pair.vertices[i], pair.proximity.coefficient[i] * pair.proximity.normal);
+  }
+  for (const Pair& pair : pairs_) {
+    const double force_n = pair.force_n;
+    if (force_n < kResistedForce * softer_modulus_pa(pair) * edge_length_m_ * edge_length_m_)
+      continue;
+    const Vec3& n = pair.proximity.normal;
+    const Vec3 first = n.unitOrthogonal();
+    for (const Vec3& across : {first, Vec3(n.cross(first))}) {
+      double now_m = 0.0;
+      for (std::size_t i = 0; i < 4; ++i)
+        now_m += pair.proximity.coefficient[i] * across.dot(positions_m[at(pair.vertices[i])]);
+      rows.add(constraints::Bounds::bilateral(), now_m, edge_length_m_ / force_n);
+      for (std::size_t i = 0; i < 4; ++i)
+        rows.touch(pair.vertices[i], pair.proximity.coefficient[i] * across);
+    }
+  }
+}
+
+void TissueContact::read(std::span<const double> lambda) {
+  for (std::size_t i = 0; i < pairs_.size(); ++i) pairs_[i].force_n = lambda[at(first_row_) + i];
+}
+
+}  // namespace sutured::contact

@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Contact between the boundaries of all tissues, and of a boundary with itself.
+//
+// Normal-only unilateral rows (paper section 2, tangents released),
+//
+//     n · Σ cᵢ xᵢ − d + ε λ ≥ 0,   λ ≥ 0        d = kThickness_m: surfaces rest this far apart
+//
+// for the pairs that are true closest features:
+//
+//   vertex–face   the vertex projects into the face, and faces it; of several faces that it lies
+//                 behind, the nearest
+//   edge–edge     the edges cross inside both, and around each crossing its own surface lies
+//                 behind the common perpendicular: the normal is in the normal cones of both
+//
+// Broad phase: each vertex and edge keeps the features within its reach and a margin, and looks
+// again when the surfaces have moved by half the margin. Choice: made anew when they have moved by
+// kChoose_m since the last; a pair that carried force stays on looser terms, and only one that was
+// known before may be deep: surfaces meet from outside. So still tissue keeps its pairs, and a step
+// is a smooth map that settles. Normals and coefficients are renewed each step.
+//
+// Resistance: the rows know the normal of the step before, not how it turns when the pair slides.
+// Under a large force λ that lets features overshoot past each other and back. Two rows across the
+// normal resist what changes in this step,
+//
+//     t · Σ cᵢ (xᵢ − xᵢ now) + (h / λ) μ = 0      h = mean edge length
+//
+// a proximal step: once the tissue is still they carry nothing, so the equilibrium is that of
+// smooth surfaces without friction (docs/adr/0031).
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "constraints/rows.hpp"
+#include "contact/features.hpp"
+#include "contact/proximity.hpp"
+#include "geometry/triangle_tree.hpp"
+
+namespace sutured::contact {
+
+/// Surfaces in contact rest this far apart: what the rows give way, and what a step misses, stays
+/// below it, so that nothing is seen to pass through.
+inline constexpr double kThickness_m = 1e-5;
+
+enum class PairKind : std::uint8_t { kVertexFace, kEdgeEdge };
+
+/// Two features near each other.
+struct Pair {
+  PairKind kind{};
+  std::int32_t first = -1;   ///< vertex of the mesh, or edge
+  std::int32_t second = -1;  ///< triangle, or edge
+  std::array<std::int32_t, 4> vertices{};
+  Proximity proximity;   ///< where the tissue was at the last update
+  double force_n = 0.0;  ///< of the last solve
+  [[nodiscard]] std::uint64_t key() const {
+    return (std::uint64_t{1} << 63) |
+           (static_cast<std::uint64_t>(kind == PairKind::kEdgeEdge) << 62) |
+           (static_cast<std::uint64_t>(first) << 31) | static_cast<std::uint64_t>(second);
+  }
+};
+
+/// Thread: simulation. Allocates: when more is near than ever before.
+class TissueContact {
+ public:
+  TissueContact() = default;
+  /// `tissue_of_triangle`, `young_modulus_pa`: per boundary triangle.
+  TissueContact(const geometry::BoundarySurface& surface, std::span<const Vec3> rest_m,
+                std::vector<int> tissue_of_triangle, std::vector<double> young_modulus_pa);
+
+  void reset();
+
+  /// Finds and renews the pairs where the tissue is now. `tree` is over the surface, refit.
+  void update(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree);
+
+  /// Adds a row per pair, and those that resist its slide. `positions_m`: of the last update.
+  void add_rows(std::span<const Vec3> positions_m, constraints::ConstraintRows& rows);
+  void read(std::span<const double> lambda);
+
+  [[nodiscard]] std::span<const Pair> pairs() const { return pairs_; }
+  [[nodiscard]] int tissue_of(const Pair& pair, bool second) const;
+  /// Searches of the broad phase so far: how often something looked again.
+  [[nodiscard]] std::uint64_t searches() const { return searches_; }
+
+ private:
+  void search(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree);
+  void choose(std::span<const Vec3> positions_m);
+  void choose_vertex(std::int32_t vertex, std::span<const std::int32_t> triangles,
+                     std::span<const Vec3> positions_m);
+  void choose_edge(std::int32_t edge, std::span<const std::int32_t> others,
+                   std::span<const Vec3> positions_m);
+  [[nodiscard]] const Pair* known(std::uint64_t key) const;
+  [[nodiscard]] bool admit(Pair& pair) const;
+  [[nodiscard]] std::int32_t triangle_of(const Pair& pair, bool second) const;
+  [[nodiscard]] double softer_modulus_pa(const Pair& pair) const;
+  [[nodiscard]] bool through_solid(std::int32_t vertex, std::int32_t triangle) const;
+  [[nodiscard]] Vec3 edge_normal(const SurfaceEdge& edge) const;
+  void renew(Pair& pair, std::span<const Vec3> positions_m) const;
+
+  const geometry::BoundarySurface* surface_ = nullptr;
+  SurfaceFeatures features_;
+  std::vector<Vec3> rest_m_;
+  std::vector<int> tissue_of_triangle_;
+  std::vector<double> young_modulus_pa_;
+  double edge_length_m_ = 0.0;  ///< mean
+
+  std::vector<Vec3> last_m_, normals_;  ///< per surface vertex; per triangle
+  double motion_m_ = 0.0, chosen_at_m_ = -1.0, speed_m_ = 0.0;
+  std::vector<std::vector<std::int32_t>> near_vertex_, near_edge_;
+  std::vector<double> vertex_due_, edge_due_;
+  std::vector<std::size_t> close_vertices_, close_edges_;  ///< with candidates
+  std::vector<Pair> pairs_, known_;                        ///< now; of the choice before, by key
+  int first_row_ = 0;
+  std::uint64_t searches_ = 0;
+};
+
+}  // namespace sutured::contact
