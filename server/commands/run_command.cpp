@@ -178,7 +178,8 @@ nlohmann::json course_m(const scene::Needle& needle, const scene::Pose& pose) {
 
 nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
                          const nlohmann::json& events, const std::vector<double>& peak_force_n,
-                         const std::vector<double>& peak_tension_n, double residual_max,
+                         const std::vector<double>& peak_tension_n,
+                         const std::vector<nlohmann::json>& tension_over_time, double residual_max,
                          int inverted_tets_max, std::uint64_t steps, double rate_hz) {
   nlohmann::json summary;
   summary["scene"] = scene.name;
@@ -217,6 +218,7 @@ nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
     for (const auto& p : thread.course_m) course.push_back({p[0], p[1], p[2]});
     threads[scene.threads[i].name] = {{"tension_n", thread.tension_n},
                                       {"tension_max_n", peak_tension_n[i]},
+                                      {"tension_over_time", tension_over_time[i]},
                                       {"slack_m", thread.slack_m},
                                       {"punctures", thread.punctures.size()},
                                       {"diameter_m", scene.threads[i].diameter_m},
@@ -342,6 +344,9 @@ int run(const RunOptions& options) {
   std::vector<simulation::ToolInput> inputs(scene.tools.size());
   std::vector<double> peak_force_n(scene.tools.size(), 0.0);
   std::vector<double> peak_tension_n(scene.threads.size(), 0.0);
+  // [time_s, tension_n] ten times a second; threads.csv has every step.
+  std::vector<nlohmann::json> tension_over_time(scene.threads.size(), nlohmann::json::array());
+  const auto tenth = static_cast<std::uint64_t>(std::max(1.0, std::round(rate_hz / 10.0)));
   nlohmann::json events = nlohmann::json::array();
   double residual_max = 0.0;
   int inverted_tets_max = 0;
@@ -400,6 +405,7 @@ int run(const RunOptions& options) {
     for (std::size_t i = 0; i < scene.threads.size(); ++i) {
       const auto& thread = sim.threads()[i];
       peak_tension_n[i] = std::max(peak_tension_n[i], thread.tension_n);
+      if (step % tenth == 0) tension_over_time[i].push_back({report.time_s, thread.tension_n});
       thread_file << report.time_s << ',' << scene.threads[i].name << ',' << thread.tension_n << ','
                   << thread.slack_m << ',' << thread.punctures.size() << '\n';
     }
@@ -412,8 +418,9 @@ int run(const RunOptions& options) {
   meter.note_principal_stress(simulation::peak_principal_stress_pa(stress, sim.bodies()));
   meter.measure(simulation::quality_view(sim));
   write_vtk(options.out, sim, stress, scene.name);
-  nlohmann::json summary = summarise(scene, sim, events, peak_force_n, peak_tension_n, residual_max,
-                                     inverted_tets_max, steps, rate_hz);
+  nlohmann::json summary =
+      summarise(scene, sim, events, peak_force_n, peak_tension_n, tension_over_time, residual_max,
+                inverted_tets_max, steps, rate_hz);
   summary["stress"] = summarise_stress(sim, stress);
   summary["quality"] = summarise_quality(scene, meter);
   summary["wound"] = summarise_wounds(scene, meter);

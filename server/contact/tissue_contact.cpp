@@ -29,8 +29,8 @@ constexpr double kFlat = 0.02;
 constexpr double kSineMin = 0.05;
 // Row compliance times modulus: 2e-5 m/N at 200 kPa.
 constexpr double kComplianceTimesModulus = 2e-5 * 2e5;
-// Above this share of E h² a pair's force is large enough to make its step overshoot.
-constexpr double kResistedForce = 0.05;
+// How far a row that carries force goes to its pair's present normal in a step.
+constexpr double kRelaxation = 0.5;
 constexpr double kRestBehind_m = 1e-6;
 
 std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
@@ -88,7 +88,11 @@ bool TissueContact::admit(Pair& pair) const {
   if (!p.valid || p.gap_m > reach_m || p.gap_m < -kDepthMax_m) return false;
   const Pair* const before = known(pair.key());
   if (before == nullptr && p.gap_m < -(kNewDepth_m + 2.0 * speed_m_)) return false;
-  if (before != nullptr) pair.force_n = before->force_n;
+  if (before != nullptr) {
+    pair.force_n = before->force_n;
+    pair.normal = before->normal;
+    pair.coefficient = before->coefficient;
+  }
   return p.margin >= -(pair.force_n > 0.0 ? kOutsideCarried : kOutside);
 }
 
@@ -313,6 +317,15 @@ void TissueContact::update(std::span<const Vec3> positions_m, const geometry::Tr
   } else {
     for (Pair& pair : pairs_) renew(pair, positions_m);
   }
+  for (Pair& pair : pairs_) follow(pair);
+}
+
+void TissueContact::follow(Pair& pair) {
+  const Proximity& now = pair.proximity;
+  const double share = pair.force_n > 0.0 ? kRelaxation : 1.0;
+  pair.normal = ((1.0 - share) * pair.normal + share * now.normal).normalized();
+  for (std::size_t i = 0; i < 4; ++i)
+    pair.coefficient[i] = std::lerp(pair.coefficient[i], now.coefficient[i], share);
 }
 
 double TissueContact::softer_modulus_pa(const Pair& pair) const {
@@ -320,29 +333,14 @@ double TissueContact::softer_modulus_pa(const Pair& pair) const {
                   young_modulus_pa_[at(triangle_of(pair, true))]);
 }
 
-void TissueContact::add_rows(std::span<const Vec3> positions_m, constraints::ConstraintRows& rows) {
+void TissueContact::add_rows(constraints::ConstraintRows& rows) {
   first_row_ = rows.size();
   for (const Pair& pair : pairs_) {
     constraints::Row& row = rows.add(constraints::Bounds::unilateral(), kThickness_m,
                                      kComplianceTimesModulus / softer_modulus_pa(pair));
     row.key = pair.key();
     for (std::size_t i = 0; i < 4; ++i)
-      rows.touch(pair.vertices[i], pair.proximity.coefficient[i] * pair.proximity.normal);
-  }
-  for (const Pair& pair : pairs_) {
-    const double force_n = pair.force_n;
-    if (force_n < kResistedForce * softer_modulus_pa(pair) * edge_length_m_ * edge_length_m_)
-      continue;
-    const Vec3& n = pair.proximity.normal;
-    const Vec3 first = n.unitOrthogonal();
-    for (const Vec3& across : {first, Vec3(n.cross(first))}) {
-      double now_m = 0.0;
-      for (std::size_t i = 0; i < 4; ++i)
-        now_m += pair.proximity.coefficient[i] * across.dot(positions_m[at(pair.vertices[i])]);
-      rows.add(constraints::Bounds::bilateral(), now_m, edge_length_m_ / force_n);
-      for (std::size_t i = 0; i < 4; ++i)
-        rows.touch(pair.vertices[i], pair.proximity.coefficient[i] * across);
-    }
+      rows.touch(pair.vertices[i], pair.coefficient[i] * pair.normal);
   }
 }
 

@@ -16,8 +16,8 @@ constexpr double kHole_m = 1.2e-3;
 constexpr double kDepthMax_m = 1.0e-3;
 // Along a surface every so many points stand for the stretch between them: always the same ones.
 constexpr int kStride = 2;
-// A touch of more force resists sliding sideways within a step, by its force over this length
-// (contact/tissue_contact.hpp: resistance).
+// A touch of more force resists sliding sideways within a step, by its force over this length: a
+// row t · Δ(p − x) + (h / λ) μ = 0, which carries nothing once all is still.
 constexpr double kResistedForce_n = 5e-3;
 constexpr double kSlideLength_m = 1e-3;
 constexpr double kComplianceTimesModulus = 1e-4 * 2e5;

@@ -82,6 +82,7 @@ struct Simulation::State {
   std::vector<simulation::NeedleState> needle_states;
   std::vector<simulation::ThreadState> thread_states;
   std::vector<ContactPoint> contact_points;
+  std::vector<std::pair<int, int>> touching, touching_now;  ///< tissues in contact, sorted
   std::vector<Event> events, pending_events;
   StepReport report;
   double time_s = 0.0;
@@ -135,7 +136,7 @@ struct Simulation::State {
     for (NeedleBody& needle : needles) needle.add_rows(tissue, rows);
     for (ToolBody& tool : tools) tool.add_rows(tissue, needles, kReach_m, rows);
     for (ThreadBody& thread : threads) thread.add_rows(needles, tools, rows);
-    if (contact) contact->add_rows(tissue.positions_m(), rows);
+    if (contact) contact->add_rows(rows);
   }
 
   /// Named rows start as they ended the last solve, all others without force.
@@ -293,6 +294,7 @@ struct Simulation::State {
     report_needles();
     report_threads();
     report_contacts();
+    tell_contacts();
   }
 
   void report_contacts() {
@@ -333,6 +335,38 @@ struct Simulation::State {
     report.contact_pairs += static_cast<int>(contact->pairs().size());
   }
 
+  /// Tells when two tissues (or a tissue and itself) first touch, and when they part.
+  void tell_contacts() {
+    touching_now.clear();
+    for (const ContactPoint& point : contact_points)
+      if (point.needle < 0)
+        touching_now.emplace_back(std::min(point.tissue, point.other_tissue),
+                                  std::max(point.tissue, point.other_tissue));
+    std::sort(touching_now.begin(), touching_now.end());
+    touching_now.erase(std::unique(touching_now.begin(), touching_now.end()), touching_now.end());
+    const auto tell = [&](EventKind kind, const auto& those, const auto& others) {
+      for (const auto& pair : those) {
+        if (std::binary_search(others.begin(), others.end(), pair)) continue;
+        Event event{kind,
+                    time_s,
+                    scene.tissues[static_cast<std::size_t>(pair.first)].name,
+                    scene.tissues[static_cast<std::size_t>(pair.second)].name,
+                    Vec3::Zero(),
+                    0.0};
+        for (const ContactPoint& point : contact_points)
+          if (point.needle < 0 && std::min(point.tissue, point.other_tissue) == pair.first &&
+              std::max(point.tissue, point.other_tissue) == pair.second) {
+            if (event.force_n == 0.0) event.position_m = point.position_m;
+            event.force_n += point.force_n;
+          }
+        events.push_back(event);
+      }
+    };
+    tell(EventKind::kContact, touching_now, touching);
+    tell(EventKind::kContactLost, touching, touching_now);
+    touching.swap(touching_now);
+  }
+
   void report_threads() {
     for (std::size_t t = 0; t < threads.size(); ++t) threads[t].report(tissue, thread_states[t]);
   }
@@ -360,6 +394,7 @@ struct Simulation::State {
     for (ThreadBody& thread : threads) thread.reset(tissue);
     if (contact) contact->reset();
     contact_points.clear();
+    touching.clear();
     settled = true;
     inverted_told = 0;
     std::fill(inputs.begin(), inputs.end(), ToolInput());
