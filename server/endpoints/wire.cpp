@@ -230,6 +230,7 @@ void set_thread(suture::v1::ThreadState& wire, const scene::Scene& scene, std::s
                 std::vector<suture::v1::Puncture>& punctures) {
   suture::set_text(wire.thread, scene.threads[thread].name);
   wire.length_m = state.length_m;
+  wire.diameter_m = scene.threads[thread].diameter_m;
   wire.tension_n = state.tension_n;
   wire.slack_m = state.slack_m;
   wire.taut = state.taut;

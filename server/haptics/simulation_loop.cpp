@@ -169,6 +169,7 @@ void SimulationLoop::publish_frame(std::int64_t now_ns) {
   frame.stamp_ns = suture::wall_clock_ns();
   frame.time_s = simulation_.time_s();
   frame.report = simulation_.report();
+  double peak_principal_pa = 0.0;
   const auto positions = simulation_.positions_m();
   const auto bodies = simulation_.bodies();
   for (std::size_t b = 0; b < bodies.size(); ++b) {
@@ -177,6 +178,7 @@ void SimulationLoop::publish_frame(std::int64_t now_ns) {
       const std::size_t global = bodies[b].first_vertex + vertices[v];
       const auto& stress_pa = stress_.vertex_pa[global];
       const geometry::Vec3 principal_pa = fem::principal_stress_pa(stress_pa);
+      peak_principal_pa = std::max(peak_principal_pa, principal_pa[0]);
       for (int k = 0; k < 3; ++k) {
         frame.position_m[b][3 * v + k] = static_cast<float>(positions[global][k]);
         frame.principal_pa[b][3 * v + k] = static_cast<float>(principal_pa[k]);
@@ -191,6 +193,7 @@ void SimulationLoop::publish_frame(std::int64_t now_ns) {
   for (std::size_t i = 0; i < frame.held.size(); ++i)
     frame.held[i] = simulation_.responses()[i].held;
   if (options_.quality) {
+    options_.quality->note_principal_stress(peak_principal_pa);
     if (now_ns - measured_ns_ >= kMeasurePeriod_ns) {
       measured_ns_ = now_ns;
       options_.quality->measure(simulation::quality_view(simulation_));

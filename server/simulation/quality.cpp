@@ -6,6 +6,8 @@
 #include <map>
 #include <utility>
 
+#include "fem/elements.hpp"
+
 namespace sutured::simulation {
 namespace {
 
@@ -88,6 +90,17 @@ bool differs(const ThreadQuality& a, const ThreadQuality& b) {
 QualityView quality_view(const Simulation& simulation) {
   return {simulation.time_s(),  simulation.responses(), simulation.needles(),
           simulation.threads(), simulation.events(),    simulation.positions_m()};
+}
+
+double peak_principal_stress_pa(const StressField& stress, std::span<const Body> bodies) {
+  double peak_pa = kNoFigure;
+  for (const Body& body : bodies)
+    for (const std::int32_t v : body.surface_vertices) {
+      const double principal_pa =
+          fem::principal_stress_pa(stress.vertex_pa[at(body.first_vertex + v)])[0];
+      if (!(principal_pa <= peak_pa)) peak_pa = principal_pa;
+    }
+  return peak_pa;
 }
 
 Spread spread_of(std::span<const double> values) {

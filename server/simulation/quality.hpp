@@ -96,6 +96,11 @@ struct QualityView {
 };
 [[nodiscard]] QualityView quality_view(const Simulation& simulation);
 
+/// Returns the largest principal stress at a vertex of the tissues' surfaces (Pa), the one that
+/// viewers see.
+[[nodiscard]] double peak_principal_stress_pa(const StressField& stress,
+                                              std::span<const Body> bodies);
+
 /// Returns mean and standard deviation of those of `values` that are numbers.
 [[nodiscard]] Spread spread_of(std::span<const double> values);
 
@@ -112,7 +117,7 @@ class QualityMeter {
 
   /// Takes in one step; call after each.
   void watch(const QualityView& view);
-  /// Takes in the largest principal stress of any tissue now (Pa), at whatever rate it is known.
+  /// Takes in `peak_principal_stress_pa` as it is now, at whatever rate it is known.
   void note_principal_stress(double stress_pa);
   /// Measures gaps and bites. The displacements must be up to date
   /// (Simulation::update_displacements).

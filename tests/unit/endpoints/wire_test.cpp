@@ -118,6 +118,7 @@ scene::Scene named_scene() {
   scene.tools[1].name = "assistant";
   scene.threads.resize(1);
   scene.threads[0].name = "thread";
+  scene.threads[0].diameter_m = 0.0002;
   return scene;
 }
 
@@ -167,6 +168,7 @@ TEST(SetThread, LendsTheCourseAndKeepsEveryFigure) {
   set_thread(wire, named_scene(), 0, state, punctures);
   EXPECT_EQ(suture::text_of(wire.thread), "thread");
   EXPECT_EQ(wire.length_m, 0.45);
+  EXPECT_EQ(wire.diameter_m, 0.0002);
   EXPECT_EQ(wire.tension_n, 0.2);
   EXPECT_EQ(wire.slack_m, 0.01);
   EXPECT_TRUE(wire.taut);
