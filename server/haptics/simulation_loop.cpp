@@ -102,6 +102,7 @@ void SimulationLoop::run() noexcept {
       due_ns = next.at_ns;
       beats = next.missed + 1;
     }
+    if (options_.watch) options_.watch(simulation_, true);
   } catch (const std::exception& error) {
     failure_ = error.what();
     failed_.store(true, std::memory_order_release);
@@ -126,6 +127,7 @@ void SimulationLoop::step(std::int64_t now_ns, double dt_s) {
   if (options_.models_published) options_.models_published();
   publish_events();
   if (options_.quality) options_.quality->watch(simulation::quality_view(simulation_));
+  if (options_.watch) options_.watch(simulation_, false);
   if (now_ns - shown_ns_ >= display_period_ns_) {
     shown_ns_ = now_ns;
     publish_frame(now_ns);

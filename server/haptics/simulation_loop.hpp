@@ -73,6 +73,9 @@ class SimulationLoop {
     std::optional<simulation::QualityMeter> quality;
     /// Called on the simulation's thread after each step's models are published: short.
     std::function<void()> models_published;
+    /// Called on the simulation's thread after each step, and once more, with `last`, when the
+    /// loop ends: for records. It may take the time between two steps.
+    std::function<void(simulation::Simulation&, bool last)> watch;
   };
 
   /// Starts stepping. `channels`: one per tool of the scene, in order; they outlive it.
