@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <utility>
 
 #include "fem/elements.hpp"
 
@@ -40,6 +42,21 @@ bool on_tissue(const NeedleState& needle) { return in_tissue(needle) || needle.t
 
 bool holds(const ToolResponse& response, HeldKind kind, int index) {
   return response.held.kind == kind && response.held.index == index;
+}
+
+// A vertex over the border of an edge lies opposite it where the way across is this straight.
+constexpr double kAheadCosine = 0.99;
+
+/// The edges that belong to one of the triangles only.
+std::vector<std::pair<std::int32_t, std::int32_t>> border_of(
+    std::span<const geometry::Triangle> triangles) {
+  std::map<std::pair<std::int32_t, std::int32_t>, int> uses;
+  for (const geometry::Triangle& t : triangles)
+    for (std::size_t i = 0; i < 3; ++i) ++uses[std::minmax(t[i], t[(i + 1) % 3])];
+  std::vector<std::pair<std::int32_t, std::int32_t>> border;
+  for (const auto& [edge, count] : uses)
+    if (count == 1) border.push_back(edge);
+  return border;
 }
 
 }  // namespace
@@ -137,11 +154,41 @@ QualityMeter::QualityMeter(const scene::Scene& scene, const Simulation& simulati
       for (const std::int32_t v : edge.vertices) made[i].vertices.push_back(body.first_vertex + v);
       made[i].now = made[i].at_rest = geometry::TriangleTree(triangles, rest_m_);
     }
+    keep_opposite(made);
     gaps_at_rest_.push_back(gap_of(made, rest_m_, &Edge::at_rest));
   }
   threads_.resize(scene.threads.size());
   for (ThreadQuality& thread : threads_) thread.bites.reserve(kBitesMax);
   reset();
+}
+
+/// Keeps the vertices of each edge that lie opposite the other: whose nearest point there is not on
+/// its border, or straight ahead of it. Where none does, all stay.
+void QualityMeter::keep_opposite(Wound& wound) const {
+  std::array<std::vector<std::int32_t>, 2> opposite;
+  for (std::size_t i = 0; i < wound.size(); ++i) {
+    const auto border = border_of(wound[1 - i].at_rest.triangles());
+    for (const std::int32_t v : wound[i].vertices) {
+      const auto nearest = wound[1 - i].at_rest.nearest(rest_m_[at(v)], kAnywhere_m, rest_m_);
+      if (!nearest) continue;
+      const Vec3& p = nearest->closest.point_m;
+      const geometry::Triangle& t = wound[1 - i].at_rest.triangles()[at(nearest->triangle)];
+      const Vec3 normal = (rest_m_[at(t[1])] - rest_m_[at(t[0])])
+                              .cross(rest_m_[at(t[2])] - rest_m_[at(t[0])])
+                              .normalized();
+      const Vec3 across = rest_m_[at(v)] - p;
+      const bool ahead = std::abs(normal.dot(across)) >= kAheadCosine * across.norm();
+      const bool outside =
+          !ahead && std::any_of(border.begin(), border.end(), [&](const auto& edge) {
+            const Vec3 &a = rest_m_[at(edge.first)], d = rest_m_[at(edge.second)] - a;
+            const double share = std::clamp(d.dot(p - a) / d.squaredNorm(), 0.0, 1.0);
+            return (a + share * d - p).norm() < 1e-6 * d.norm();
+          });
+      if (!outside) opposite[i].push_back(v);
+    }
+  }
+  if (opposite[0].empty() && opposite[1].empty()) return;
+  for (std::size_t i = 0; i < wound.size(); ++i) wound[i].vertices = std::move(opposite[i]);
 }
 
 void QualityMeter::reset() {

@@ -4,20 +4,22 @@
 // Two calls, because they cost differently:
 //
 //   watch     after each step     ways, peaks, hand-overs: a few sums
-//   measure   when somebody asks  the wound's gap, bites: surface searches, displacements up to
-//   date
+//   measure   when somebody asks  the wound's gap, bites: surface searches; wants displacements
 //
 // The gap between two edges a, b of a wound, with d(x, e) the distance of x from the triangles of
 // e,
 //
 //     max, mean of { d(x, b) : x a vertex of a } ∪ { d(x, a) : x a vertex of b }
 //
+// over the vertices that lie opposite the other edge at rest: vessels of different diameters
+// overhang each other, and what overhangs has nothing to close against.
+//
 // A bite is a passage of a thread through a tissue, entered where its needle went in. It is judged
 // at rest, so that a pull on the thread does not change it:
 //
-//     depth   = max over the course c of d(X(c), surface of its tissue)      X: material point at
-//     rest edge    = min over entry and exit of d(X, edge of the wound in its tissue) spacing =
-//     |X(entry) − X(entry of the bite before in the same tissue)|
+//     depth   = max over the course c of d(X(c), surface of its tissue)   X: material point at rest
+//     edge    = min over entry and exit of d(X, edge of the wound in its tissue)
+//     spacing = |X(entry) − X(entry of the bite before in the same tissue)|
 //
 // Where there is no figure (no wound, a first bite, nobody gave a stress) it is NaN.
 #pragma once
@@ -164,6 +166,7 @@ class QualityMeter {
                                          const ThreadPuncture& exit,
                                          std::span<const geometry::Vec3> positions_m) const;
   [[nodiscard]] double peak_force_of(const BiteFigures& bite, std::size_t thread) const;
+  void keep_opposite(Wound& wound) const;
   [[nodiscard]] WoundGap gap_of(const Wound& wound, std::span<const geometry::Vec3> positions_m,
                                 geometry::TriangleTree Edge::*tree) const;
   [[nodiscard]] WoundGap widest(std::span<const WoundGap> gaps) const;

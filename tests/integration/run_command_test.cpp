@@ -79,23 +79,6 @@ TEST(RunCommand, TheCourseOfTheNeedleDoesNotDependOnTheRate) {
   }
 }
 
-/// The rims are rings of 4.5 to 6 mm and 3.5 to 5 mm, 1.5 mm apart: the outermost vertices lie 1 mm
-/// beside the other ring.
-TEST(RunCommand, TheSummaryTellsTheGapOfTheWound) {
-  const testing::TemporaryFolder folder;
-  const auto result =
-      run({kScene, "--surgeon", kOneBite, "--out", folder.path("out"), "--rate", "60"});
-  ASSERT_EQ(result.exit_code, 0) << result.err;
-  const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
-  const auto& wound = summary["wound"]["anastomosis"];
-  EXPECT_NEAR(wound["gap_at_rest"]["max_m"].get<double>(), std::hypot(1.5e-3, 1e-3), 5e-5);
-  EXPECT_GT(wound["gap_at_rest"]["mean_m"].get<double>(), 1.5e-3);
-  EXPECT_LT(wound["gap_at_rest"]["mean_m"].get<double>(),
-            wound["gap_at_rest"]["max_m"].get<double>());
-  EXPECT_GT(wound["gap"]["max_m"].get<double>(), 1e-3);
-  EXPECT_NE(wound["gap"], wound["gap_at_rest"]);  // the needle is in both walls
-}
-
 /// Eight stitches all around, 45° apart, each by both hands: what happens comes in order at any
 /// rate, every hole is where its stitch belongs, and the needle is never dropped.
 TEST(RunCommand, TheRunningSutureComesOutAsPlanned) {
@@ -241,6 +224,22 @@ TEST(RunCommand, TheLastStateHoldsStressPerVertexAndPerTet) {
     EXPECT_LT(stress[at]["rest_position_m"][2].get<double>(), 0.0) << stress;
     EXPECT_GT(stress[at]["rest_position_m"][2].get<double>(), -0.01) << stress;
   }
+}
+
+/// The rims are rings of 4.5 to 6 mm and 3.5 to 5 mm, 1.5 mm apart: they face each other from 4.5
+/// to 5 mm, and there the running suture closes them but for a part between its stitches.
+TEST(RunCommand, TheSummaryTellsTheGapOfTheWound) {
+  const testing::TemporaryFolder folder;
+  const auto result =
+      run({kScene, "--surgeon", kSurgeon, "--out", folder.path("out"), "--rate", "60"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
+  ASSERT_TRUE(summary["quality"].is_object());
+  const auto& wound = summary["wound"]["anastomosis"];
+  EXPECT_NEAR(wound["gap_at_rest"]["max_m"].get<double>(), 1.5e-3, 1e-5);
+  EXPECT_NEAR(wound["gap_at_rest"]["mean_m"].get<double>(), 1.5e-3, 1e-5);
+  EXPECT_LT(wound["gap"]["mean_m"].get<double>(), 0.5e-3);
+  EXPECT_GE(wound["gap"]["max_m"].get<double>(), wound["gap"]["mean_m"].get<double>());
 }
 
 TEST(RunCommand, FaultsAreOneClearError) {
