@@ -226,8 +226,8 @@ TEST(RunCommand, TheLastStateHoldsStressPerVertexAndPerTet) {
   }
 }
 
-/// The rims are rings of 4.5 to 6 mm and 3.5 to 5 mm, 1.5 mm apart: they face each other from 4.5 to
-/// 5 mm, and there the running suture closes them but for a part between its stitches.
+/// The rims are rings of 4.5 to 6 mm and 3.5 to 5 mm, 1.5 mm apart: they face each other from 4.5
+/// to 5 mm, and there the running suture closes them but for a part between its stitches.
 TEST(RunCommand, TheSummaryTellsTheGapOfTheWound) {
   const testing::TemporaryFolder folder;
   const auto result =

@@ -389,6 +389,20 @@ TEST_F(Quality, TheLargestStressThatWasGivenStays) {
   EXPECT_EQ(figures().peak_principal_stress_pa, 2e4);
 }
 
+TEST_F(Quality, ThePeakOfTheStressIsThatOfTheSurface) {
+  StressField stress;
+  stress.vertex_pa.assign(positions.size(), Vec6::Zero());
+  const Body& body = sim.bodies()[1];
+  const auto at = [](std::int32_t v) { return static_cast<std::size_t>(v); };
+  stress.vertex_pa[at(body.first_vertex + body.surface_vertices[3])][1] = 100.0;  // yy
+  std::int32_t inside = 0;  // a vertex that no surface uses
+  while (std::binary_search(body.surface_vertices.begin(), body.surface_vertices.end(), inside))
+    ++inside;
+  ASSERT_LT(inside, body.vertex_count);
+  stress.vertex_pa[at(body.first_vertex + inside)][1] = 200.0;
+  EXPECT_NEAR(peak_principal_stress_pa(stress, sim.bodies()), 100.0, 1e-9);
+}
+
 // ------------------------------------------------------------------ as a whole
 
 TEST_F(Quality, AResetForgetsEverything) {
