@@ -143,8 +143,7 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
       const auto entries = rows.entries(rows[i]);
       double* t = row_times_g_.data() + i * pitch + first;
       for (std::size_t e = 0; e < entries.size(); ++e) {
-        const auto slot =
-            entry_slot_[static_cast<std::size_t>(rows[i].first_entry) + e];
+        const auto slot = entry_slot_[static_cast<std::size_t>(rows[i].first_entry) + e];
         add_three_rows(g_row(3 * slot) + first, stride, entries[e].coefficient.data(), count, t);
       }
     }
@@ -201,7 +200,11 @@ void Compliance::apply(const ConstraintRows& rows, std::span<const double> multi
           multiplier_n[static_cast<std::size_t>(i)] * entry.coefficient;
       loaded_.push_back(slot);
     }
-  std::sort(loaded_.begin(), loaded_.end());
+  // In the order of vertices: slots tell what was in use before, and sums must not depend on that.
+  std::sort(loaded_.begin(), loaded_.end(), [&](int a, int b) {
+    return columns_[static_cast<std::size_t>(a)].vertex <
+           columns_[static_cast<std::size_t>(b)].vertex;
+  });
   loaded_.erase(std::unique(loaded_.begin(), loaded_.end()), loaded_.end());
 }
 
