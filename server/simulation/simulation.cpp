@@ -31,7 +31,7 @@ constexpr int kSlowSubsteps = 3;
 constexpr double kReach_m = 2.0 * kSubstepMotion_m;
 constexpr int kRevisionsMax = 4;
 constexpr int kIdleStepsMax = 512;
-constexpr double kResidualMax = 1e-6;
+constexpr double kResidualMax = 1e-8;
 
 std::int64_t since(Clock::time_point start) {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - start).count();
