@@ -67,6 +67,7 @@ struct Simulation::State {
     rows.reserve(512, 2048);
     events.reserve(64);
     pending_events.reserve(64);
+    clear_world_changed();
     report_needles();
     report_threads();
   }
@@ -251,9 +252,6 @@ struct Simulation::State {
     report = {};
     report.step = number;
     report.substeps = substeps_for(target_inputs, dt_s);
-    for (NeedleBody& needle : needles) needle.clear_world_changed();
-    for (ToolBody& tool : tools) tool.clear_world_changed();
-    for (ThreadBody& thread : threads) thread.clear_world_changed();
     if (dt_s != period_s) {
       base_s = time_s;
       period_s = dt_s;
@@ -285,6 +283,7 @@ struct Simulation::State {
       responses[i].world_changed = responses[i].world_changed || changed;
       report.contacts += tools[i].contacts();
     }
+    clear_world_changed();
     report.model_ns += since(start);
     report.time_s = time_s;
     report.rows = rows.size();
@@ -292,6 +291,13 @@ struct Simulation::State {
     report_needles();
     report_threads();
     report_contacts();
+  }
+
+  /// Call when the responses have told of it: what `settle` finds after that is for the next step.
+  void clear_world_changed() {
+    for (NeedleBody& needle : needles) needle.clear_world_changed();
+    for (ToolBody& tool : tools) tool.clear_world_changed();
+    for (ThreadBody& thread : threads) thread.clear_world_changed();
   }
 
   void report_contacts() {
@@ -358,6 +364,7 @@ struct Simulation::State {
     steps_since_base = 0;
     rows.clear();
     warm.clear();
+    clear_world_changed();
     report_needles();
     report_threads();
   }

@@ -378,6 +378,25 @@ TEST_F(BlockSimulation, ShowingTheTissueDoesNotChangeIt) {
   }
 }
 
+/// What happens while displacements are brought up is told by the next step as without it.
+TEST_F(BlockSimulation, ShowingTheTissueDoesNotHideWhatChanged) {
+  Simulation shown(scene);
+  int changes = 0;
+  inputs[kDriver] = tool_at(kTail, 0.0);
+  for (int i = 0; i < 60; ++i) {
+    if (i == 1) inputs[kDriver].jaw = 1.0;
+    if (i > 2) inputs[kDriver].position_m[2] -= 1e-4;
+    sim.step(inputs, kStep_s);
+    shown.step(inputs, kStep_s);
+    shown.update_displacements();
+    EXPECT_EQ(sim.responses()[kDriver].world_changed, shown.responses()[kDriver].world_changed)
+        << "step " << i;
+    changes += sim.responses()[kDriver].world_changed;
+  }
+  EXPECT_TRUE(sim.needles()[0].tip_inside);
+  EXPECT_GE(changes, 3);  // grasped, touched, in
+}
+
 /// The weak spring to a needle's last pose gives way 1e6 rad/(N m): in radians those rows would
 /// leave a residual of 1e-8 in rounding alone.
 TEST_F(BlockSimulation, TwoHandsThatTwistANeedleAreSolvedToTheLastDigits) {
