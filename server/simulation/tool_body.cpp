@@ -15,6 +15,9 @@ using constraints::ConstraintRows;
 
 // The jaw closes above and opens below; between them it stays as it is.
 constexpr double kCloses = 0.6, kOpens = 0.4;
+// Rows that turn a needle act at this arm, so that they too are in metres and newtons: in radians
+// their compliance against the needle's weak spring would drown all others in rounding.
+constexpr double kTorqueArm_m = 0.01;
 // Rows of a probe at most: the nearest features of the surface.
 constexpr std::size_t kProbeRowsMax = 8;
 constexpr double kProbeComplianceTimesModulus = 1e-4 * 2e5;
@@ -201,11 +204,11 @@ void ToolBody::add_rows(const TissueState& tissue, std::span<NeedleBody> needles
                                                 (input_.orientation * needle_in_tool_).conjugate());
       const auto torque_axes = frame(torque_axis_);
       for (std::size_t axis = 0; axis < 3; ++axis) {
-        const Vec3 e = torque_axes[axis];
-        constraints::Row& row =
-            rows.add(slipping_torque_ ? slip_bounds(axis, description_.grip_torque_max_nm)
-                                      : Bounds::bilateral(),
-                     e.dot(turn), 1.0 / description_.grip_stiffness_nm_per_rad);
+        const Vec3 e = kTorqueArm_m * torque_axes[axis];
+        constraints::Row& row = rows.add(
+            slipping_torque_ ? slip_bounds(axis, description_.grip_torque_max_nm / kTorqueArm_m)
+                             : Bounds::bilateral(),
+            e.dot(turn), kTorqueArm_m * kTorqueArm_m / description_.grip_stiffness_nm_per_rad);
         row.needle = needle_;
         row.needle_jacobian.tail<3>() = e;
         row.tool = index_;
