@@ -28,6 +28,7 @@ using MeshFrame = suture_v1_MeshFrame;
 using ToolView = suture_v1_ToolView;
 using Puncture = suture_v1_Puncture;
 using NeedleState = suture_v1_NeedleState;
+using ThreadEnd = suture_v1_ThreadEnd;
 using ThreadState = suture_v1_ThreadState;
 using ContactPoint = suture_v1_ContactPoint;
 using ContactState = suture_v1_ContactState;

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cstdint>
 #include <string>
+#include <vector>
 
 namespace suture::cli {
 
@@ -30,7 +31,7 @@ struct SessionArguments {
 
 struct DeviceArguments {
   SessionArguments session;
-  std::string tool;
+  std::vector<std::string> tools;  ///< empty: all of the surgeon file
   std::string surgeon;
   std::string render = "server";
   std::string log;

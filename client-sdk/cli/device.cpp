@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // `suture device`: plays a surgeon file at the rate of a haptic device, over the SDK that
-// any device uses.
+// any device uses. Each tool of the file is a device of its own: thread, lease, forces.
 #include "suture/device.hpp"
 
 #include <algorithm>
@@ -10,10 +10,15 @@
 #include <cmath>
 #include <condition_variable>
 #include <cstdio>
+#include <exception>
 #include <fstream>
+#include <memory>
 #include <mutex>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <span>
 #include <thread>
+#include <vector>
 
 #include "commands.hpp"
 #include "force_log.hpp"
@@ -35,15 +40,21 @@ Hand hand_at(const SurgeonTrack& track, double time_s) {
   return hand;
 }
 
-/// Where in the file a looping play is: to the end and back, so that the hand never jumps.
-double loop_time(const SurgeonTrack& track, double time_s) {
-  const double length = track.end_s() - track.begin_s();
-  if (length <= 0.0) return track.begin_s();
+/// From the first row to the last of all tools that are played.
+struct Span {
+  double begin_s = 0.0, end_s = 0.0;
+};
+
+/// Where in the file a looping play is: to the end and back, so that no hand ever jumps, and
+/// the same for all tools, so that they stay in step.
+double loop_time(const Span& span, double time_s) {
+  const double length = span.end_s - span.begin_s;
+  if (length <= 0.0) return span.begin_s;
   const double phase = std::fmod(time_s, 2.0 * length);
-  return track.begin_s() + (phase <= length ? phase : 2.0 * length - phase);
+  return span.begin_s + (phase <= length ? phase : 2.0 * length - phase);
 }
 
-/// What happened to this tool, its needle and its tissue, as the server told it.
+/// What happened to the tools, their needle and their tissue, as the server told it.
 class EventBook {
  public:
   struct Entry {
@@ -125,7 +136,14 @@ class EventBook {
   bool begun_ = false;
 };
 
-void print_force(double time_s, double end_s, const Force& force, double limit_n) {
+/// A tool's force at one time, for the eye.
+struct ShownForce {
+  double time_s = 0.0;
+  Force force;
+};
+
+void print_one_force(const ShownForce& shown, double end_s, double limit_n) {
+  const Force& force = shown.force;
   constexpr int kBar = 20;
   const double magnitude = length_of(force.force_n);
   const int filled =
@@ -135,10 +153,25 @@ void print_force(double time_s, double end_s, const Force& force, double limit_n
   for (int i = 0; i < kBar; ++i) bar[i] = i < filled ? '#' : '.';
   bar[kBar] = '\0';
   std::printf("%s%7.2f / %.2f s  %7.4f N  [%s]  (%+.4f %+.4f %+.4f) N  %s%s%s%s",
-              on_terminal() ? "\r\x1b[K" : "", time_s, end_s, magnitude, bar, force.force_n[0],
-              force.force_n[1], force.force_n[2], name_of(force.state),
+              on_terminal() ? "\r\x1b[K" : "", shown.time_s, end_s, magnitude, bar,
+              force.force_n[0], force.force_n[1], force.force_n[2], name_of(force.state),
               force.holding ? ", holding" : "", force.faults != 0 ? "  " : "",
               fault_names(force.faults).c_str());
+  if (!on_terminal()) std::printf("\n");
+  std::fflush(stdout);
+}
+
+void print_forces(std::span<const std::string> tools, std::span<const ShownForce> shown,
+                  double end_s) {
+  double time_s = 0.0;
+  for (const ShownForce& one : shown) time_s = std::max(time_s, one.time_s);
+  std::printf("%s%7.2f / %.2f s", on_terminal() ? "\r\x1b[K" : "", time_s, end_s);
+  for (std::size_t i = 0; i < tools.size(); ++i) {
+    const Force& force = shown[i].force;
+    std::printf("%s%s %.4f N %s%s%s%s", i == 0 ? "  " : " · ", tools[i].c_str(),
+                length_of(force.force_n), name_of(force.state), force.holding ? ", holding" : "",
+                force.faults != 0 ? " " : "", fault_names(force.faults).c_str());
+  }
   if (!on_terminal()) std::printf("\n");
   std::fflush(stdout);
 }
@@ -177,15 +210,20 @@ class SentHands {
   std::array<Entry, kSize> entries_;
 };
 
-/// Prints the present force a few times a second, on a thread of its own: a terminal may
-/// be slow, and the thread that keeps the beat must not wait for it.
+/// Prints the present forces a few times a second, on a thread of its own: a terminal may
+/// be slow, and the threads that keep the beat must not wait for it.
 class ForcePrinter {
  public:
-  ForcePrinter(double end_s, double limit_n) : end_s_(end_s), limit_n_(limit_n) {
+  ForcePrinter(std::span<const std::string> tools, double end_s, double limit_n)
+      : tools_(tools), end_s_(end_s), limit_n_(limit_n), shown_(tools.size()) {
     worker_ = std::thread([this] {
       std::unique_lock lock(mutex_);
       while (!changed_.wait_for(lock, kPeriod, [this] { return done_; })) {
-        print_force(time_s_, end_s_, force_, limit_n_);
+        if (tools_.size() == 1) {
+          print_one_force(shown_[0], end_s_, limit_n_);
+        } else {
+          print_forces(tools_, shown_, end_s_);
+        }
       }
     });
   }
@@ -200,35 +238,30 @@ class ForcePrinter {
   ForcePrinter(const ForcePrinter&) = delete;
   ForcePrinter& operator=(const ForcePrinter&) = delete;
 
-  /// Leaves what to print next, unless it is being printed just now.
-  void show(double time_s, const Force& force) noexcept {
+  /// Leaves what to print next of a tool, unless something is being printed just now.
+  void show(std::size_t tool, double time_s, const Force& force) noexcept {
     const std::unique_lock lock(mutex_, std::try_to_lock);
     if (!lock) return;
-    time_s_ = time_s;
-    force_ = force;
+    shown_[tool] = {time_s, force};
   }
 
  private:
   static constexpr std::chrono::milliseconds kPeriod{200};
-  const double end_s_, limit_n_;
+  const std::span<const std::string> tools_;
+  const double end_s_, limit_n_;  // the limit of the only tool
   std::mutex mutex_;
   std::condition_variable changed_;
   bool done_ = false;
-  double time_s_ = 0.0;
-  Force force_;
+  std::vector<ShownForce> shown_;
   std::thread worker_;
 };
 
-/// What a play came to.
-struct Outcome {
+/// What one tool's play came to.
+struct ToolOutcome {
+  std::string tool;
   double duration_s = 0.0;
   DeviceStatistics counts;
-  EventBook::Steps steps;
-  std::vector<EventBook::Entry> events;
-  std::uint64_t log_dropped = 0;
   double max_force_n = 0.0;
-  double rendered_peak_n = 0.0;  ///< of what the device rendered itself
-  std::string scene;
 
   [[nodiscard]] double answered_pct() const {
     return counts.hands_written == 0 ? 0.0
@@ -237,42 +270,205 @@ struct Outcome {
   }
 };
 
+/// What a play came to.
+struct Outcome {
+  std::vector<ToolOutcome> tools;
+  double duration_s = 0.0;  ///< of the longest
+  EventBook::Steps steps;
+  std::vector<EventBook::Entry> events;
+  std::uint64_t log_dropped = 0;
+  std::string scene;
+};
+
 bool passes_a_surface(const EventBook::Entry& entry) {
   return entry.event.kind == "puncture" || entry.event.kind == "exit";
 }
 
 double us(std::int64_t ns) { return 1e-3 * static_cast<double>(ns); }
 
-Outcome play(const DeviceArguments& arguments, const SurgeonTrack& track, ForceLog& log) {
+/// What the tools of a play share: one clock, which starts when the server has answered each
+/// of them, and one end, because a hand-over makes no sense with a hand missing. Nobody waits:
+/// a tool that is ready early holds its first pose.
+class Together {
+ public:
+  Together(std::size_t tools, EventBook& book) : book_(book), awaited_(tools) {}
+
+  /// Says that one tool is ready; call once a tool. The last one starts the clock.
+  void arrive() noexcept {
+    if (awaited_.fetch_sub(1, std::memory_order_acq_rel) != 1) return;
+    book_.begin_play();  // events count from the first hand that moves
+    start_ns_.store(monotonic_ns(), std::memory_order_release);
+  }
+  /// The time on the surgeon's clock; nothing before the start.
+  [[nodiscard]] std::optional<double> time_s() const noexcept {
+    const std::int64_t start_ns = start_ns_.load(std::memory_order_acquire);
+    if (start_ns == 0) return std::nullopt;
+    return 1e-9 * static_cast<double>(monotonic_ns() - start_ns);
+  }
+
+  /// Ends the play of all tools because of one; the first cause is kept.
+  void fail(const std::string& tool, std::exception_ptr cause) noexcept {
+    const std::lock_guard lock(mutex_);
+    if (!cause_) {
+      cause_ = std::move(cause);
+      culprit_ = tool;
+    }
+    over_ = true;
+  }
+  [[nodiscard]] bool over() const noexcept { return over_ || interrupted; }
+  /// Throws what a tool ended by; `several`: with its name.
+  void rethrow(bool several) {
+    const std::lock_guard lock(mutex_);
+    if (!cause_) return;
+    try {
+      std::rethrow_exception(cause_);
+    } catch (const Error& error) {
+      const bool named = error.cause().find('"' + culprit_ + '"') != std::string::npos;
+      if (named || !several) throw;
+      throw Error(error.code(), "tool \"" + culprit_ + "\": " + error.cause(), error.mend());
+    }
+  }
+
+ private:
+  EventBook& book_;
+  std::atomic<std::size_t> awaited_;
+  std::atomic<std::int64_t> start_ns_{0};  // monotonic
+  std::atomic<bool> over_{false};
+  std::mutex mutex_;
+  std::exception_ptr cause_;
+  std::string culprit_;
+};
+
+/// One tool of a play: a device on a thread of its own.
+class Player {
+ public:
+  /// Connects. Throws what Device throws.
+  Player(const DeviceArguments& arguments, const SessionOptions& session, const SurgeonTrack& track,
+         Span span, std::size_t index, ForceLog& log)
+      : track_(track),
+        span_(span),
+        index_(index),
+        rate_hz_(arguments.rate_hz),
+        loops_(arguments.loop),
+        renders_itself_(arguments.render == "device"),
+        log_(log) {
+    DeviceOptions options;
+    options.domain = session.domain;
+    options.session = session.session;
+    options.timeout = session.timeout;
+    options.tool = track.tool;
+    options.render = renders_itself_ ? Render::kDevice : Render::kServer;
+    options.on_force = [this](const Force& force) {
+      if (renders_itself_) return;  // logged where it is rendered
+      if (const std::optional<double> time_s = sent_.time_of(force.hand_sequence)) {
+        log_.push(index_, {*time_s, hand_then(*time_s), force});
+      }
+    };
+    device_.emplace(std::move(options));
+    outcome_.tool = track.tool;
+    outcome_.max_force_n = device_->max_force_n();
+  }
+  ~Player() {
+    if (thread_.joinable()) thread_.join();
+  }
+  Player(const Player&) = delete;
+  Player& operator=(const Player&) = delete;
+
+  [[nodiscard]] const std::string& scene() const { return device_->scene(); }
+  [[nodiscard]] double max_force_n() const { return outcome_.max_force_n; }
+
+  /// Plays on a thread of its own, with `tools` in all; both others outlive it.
+  void start(Together& together, ForcePrinter* printer, std::size_t tools) {
+    thread_ = std::thread([this, &together, printer, tools] {
+      try {
+        play(together, printer, tools);
+      } catch (...) {
+        together.fail(track_.tool, std::current_exception());
+      }
+      finish();
+    });
+  }
+  const ToolOutcome& wait() {
+    thread_.join();
+    return outcome_;
+  }
+
+ private:
+  [[nodiscard]] Hand hand_then(double time_s) const {
+    return hand_at(track_, loops_ ? loop_time(span_, time_s) : time_s);
+  }
+
+  void play(Together& together, ForcePrinter* printer, std::size_t tools) {
+    bool arrived = false;
+    const Device::Tick tick = [&](const Force& force,
+                                  std::chrono::nanoseconds) -> std::optional<Hand> {
+      // Alone there is nobody to wait for.
+      if (!arrived && (tools == 1 || force.hand_sequence > 0)) {
+        arrived = true;
+        together.arrive();
+      }
+      const double time_s = together.time_s().value_or(0.0);
+      outcome_.duration_s = time_s;
+      if (together.over() || (!loops_ && time_s > track_.end_s())) return std::nullopt;
+      if (printer != nullptr) printer->show(index_, time_s, force);
+      if (renders_itself_ && sequence_ > 0) {
+        const double felt_s = sent_.time_of(sequence_).value_or(time_s);
+        log_.push(index_, {felt_s, hand_then(felt_s), force});
+        rendered_peak_n_ = std::max(rendered_peak_n_, length_of(force.force_n));
+      }
+      sent_.note(++sequence_, time_s);
+      return hand_then(time_s);
+    };
+    device_->run(tick, rate_hz_);
+  }
+
+  /// The answer to the last hand is on its way; then the tool goes back.
+  void finish() {
+    static_cast<void>(device_->read_after(sequence_, std::chrono::milliseconds(100)));
+    outcome_.counts = device_->statistics();
+    if (renders_itself_) outcome_.counts.peak_force_n = rendered_peak_n_;
+    device_.reset();
+  }
+
+  const SurgeonTrack& track_;
+  const Span span_;
+  const std::size_t index_;
+  const double rate_hz_;
+  const bool loops_, renders_itself_;
+  ForceLog& log_;
+  SentHands sent_;
+  std::uint64_t sequence_ = 0;
+  double rendered_peak_n_ = 0.0;  // of what the device rendered itself
+  ToolOutcome outcome_;
+  std::optional<Device> device_;  // after what its callback uses
+  std::thread thread_;
+};
+
+Outcome play(const DeviceArguments& arguments, std::span<const SurgeonTrack* const> tracks,
+             std::span<const std::string> tools, ForceLog& log) {
   SessionOptions session;
   session.domain = arguments.session.domain;
   session.session = arguments.session.session;
   session.timeout =
       std::chrono::milliseconds(static_cast<std::int64_t>(arguments.session.timeout_s * 1000.0));
-  const auto hand_then = [&](double time_s) {
-    return hand_at(track, arguments.loop ? loop_time(track, time_s) : time_s);
-  };
+  Span span{tracks[0]->begin_s(), tracks[0]->end_s()};
+  for (const SurgeonTrack* track : tracks) {
+    span.begin_s = std::min(span.begin_s, track->begin_s());
+    span.end_s = std::max(span.end_s, track->end_s());
+  }
+  std::vector<std::unique_ptr<Player>> players;
+  for (std::size_t i = 0; i < tracks.size(); ++i) {
+    players.push_back(std::make_unique<Player>(arguments, session, *tracks[i], span, i, log));
+  }
 
-  const auto sent = std::make_unique<SentHands>();
-  DeviceOptions options;
-  options.domain = session.domain;
-  options.session = session.session;
-  options.timeout = session.timeout;
-  options.tool = arguments.tool;
-  const bool renders_itself = arguments.render == "device";
-  options.render = renders_itself ? Render::kDevice : Render::kServer;
-  options.on_force = [&](const Force& force) {
-    if (renders_itself) return;  // logged where it is rendered
-    if (const std::optional<double> time_s = sent->time_of(force.hand_sequence)) {
-      log.push({*time_s, hand_then(*time_s), force});
-    }
-  };
-  std::optional<Device> held(std::in_place, options);
-  Device& device = *held;
+  Outcome outcome;
+  outcome.scene = players[0]->scene();
   if (!arguments.quiet) {
-    std::printf("scene %s, tool %s: playing %s, %.2f s at %g Hz\n", device.scene().c_str(),
-                arguments.tool.c_str(), arguments.surgeon.c_str(), track.end_s(),
-                arguments.rate_hz);
+    std::string names;
+    for (const std::string& tool : tools) names += (names.empty() ? "" : ", ") + tool;
+    std::printf("scene %s, %s %s: playing %s, %.2f s at %g Hz\n", outcome.scene.c_str(),
+                tools.size() == 1 ? "tool" : "tools", names.c_str(), arguments.surgeon.c_str(),
+                span.end_s, arguments.rate_hz);
   }
   EventBook book(!arguments.quiet);
   ViewerCallbacks callbacks;
@@ -280,39 +476,20 @@ Outcome play(const DeviceArguments& arguments, const SurgeonTrack& track, ForceL
   callbacks.on_status = [&](const Status& status) { book.add(status); };
   Viewer viewer(session, callbacks);
 
-  Outcome outcome;
-  outcome.max_force_n = device.max_force_n();
-  outcome.scene = device.scene();
-  std::uint64_t sequence = 0;
+  Together together(players.size(), book);
   {
     std::optional<ForcePrinter> printer;
-    if (!arguments.quiet) printer.emplace(track.end_s(), device.max_force_n());
-    double time_s = 0.0;
-    double rendered_peak_n = 0.0;
-    const Device::Tick tick = [&](const Force& force,
-                                  std::chrono::nanoseconds elapsed) -> std::optional<Hand> {
-      time_s += std::chrono::duration<double>(elapsed).count();
-      if (interrupted || (!arguments.loop && time_s > track.end_s())) return std::nullopt;
-      if (printer) printer->show(time_s, force);
-      if (renders_itself && sequence > 0) {
-        const double felt_s = sent->time_of(sequence).value_or(time_s);
-        log.push({felt_s, hand_then(felt_s), force});
-        rendered_peak_n = std::max(rendered_peak_n, length_of(force.force_n));
-      }
-      if (sequence == 0) book.begin_play();  // events count from the first hand
-      sent->note(++sequence, time_s);
-      return hand_then(time_s);
-    };
-    device.run(tick, arguments.rate_hz);
-    outcome.duration_s = time_s;
-    outcome.rendered_peak_n = rendered_peak_n;
+    if (!arguments.quiet) printer.emplace(tools, span.end_s, players[0]->max_force_n());
+    for (const auto& player : players) {
+      player->start(together, printer ? &*printer : nullptr, players.size());
+    }
+    for (const auto& player : players) {
+      outcome.tools.push_back(player->wait());
+      outcome.duration_s = std::max(outcome.duration_s, outcome.tools.back().duration_s);
+    }
   }
-  // The answer to the last hand is on its way; then the tool goes back, and the next status
-  // tells of the end.
-  static_cast<void>(device.read_after(sequence, std::chrono::milliseconds(100)));
-  outcome.counts = device.statistics();
-  if (renders_itself) outcome.counts.peak_force_n = outcome.rendered_peak_n;
-  held.reset();
+  together.rethrow(players.size() > 1);
+  // The next status tells of the end.
   book.await_status_after(wall_clock_ns(), std::chrono::milliseconds(1200));
   viewer.close();
   log.finish();
@@ -322,10 +499,10 @@ Outcome play(const DeviceArguments& arguments, const SurgeonTrack& track, ForceL
   return outcome;
 }
 
-void print_summary(const Outcome& outcome) {
+void print_tool(const ToolOutcome& outcome, bool named) {
   const DeviceStatistics& counts = outcome.counts;
   const auto number = [](std::uint64_t value) { return static_cast<unsigned long long>(value); };
-  std::printf("%ssummary\n", on_terminal() ? "\r\x1b[K" : "");
+  if (named) std::printf("  %s\n", outcome.tool.c_str());
   std::printf("  poses sent            %llu in %.2f s\n", number(counts.hands_written),
               outcome.duration_s);
   std::printf("  forces received       %llu (%.2f %%), %llu unanswered, %llu out of order\n",
@@ -336,6 +513,13 @@ void print_summary(const Outcome& outcome) {
   std::printf("  round trip            p50 %.0f µs, p99 %.0f µs, max %.0f µs\n",
               us(counts.round_trip_p50_ns), us(counts.round_trip_p99_ns),
               us(counts.round_trip_max_ns));
+}
+
+void print_summary(const Outcome& outcome) {
+  const auto number = [](std::uint64_t value) { return static_cast<unsigned long long>(value); };
+  std::printf("%ssummary\n", on_terminal() ? "\r\x1b[K" : "");
+  for (const ToolOutcome& tool : outcome.tools) print_tool(tool, outcome.tools.size() > 1);
+  if (outcome.tools.size() > 1) std::printf("  all\n");
   std::printf(
       "  simulation step       p50 %.2f ms, p99 of the worst half second %.2f ms, max %.2f ms; "
       "%llu overruns\n",
@@ -352,8 +536,7 @@ void print_summary(const Outcome& outcome) {
   }
 }
 
-std::string summary_json(const DeviceArguments& arguments, const Outcome& outcome) {
-  const DeviceStatistics& counts = outcome.counts;
+std::string summary_json(const Outcome& outcome) {
   nlohmann::json punctures = nlohmann::json::array();
   for (const EventBook::Entry& entry : outcome.events) {
     if (!passes_a_surface(entry)) continue;
@@ -363,21 +546,26 @@ std::string summary_json(const DeviceArguments& arguments, const Outcome& outcom
                          {"object", entry.event.object},
                          {"force_n", entry.event.value}});
   }
-  const nlohmann::json summary = {{"tool", arguments.tool},
-                                  {"scene", outcome.scene},
+  nlohmann::json tools = nlohmann::json::object();
+  for (const ToolOutcome& tool : outcome.tools) {
+    const DeviceStatistics& counts = tool.counts;
+    tools[tool.tool] = {{"duration_s", tool.duration_s},
+                        {"poses_sent", counts.hands_written},
+                        {"forces_received", counts.forces_received},
+                        {"answered_pct", tool.answered_pct()},
+                        {"unanswered", counts.hands_unanswered},
+                        {"repeated", counts.repeated},
+                        {"out_of_order", counts.out_of_order},
+                        {"peak_force_n", counts.peak_force_n},
+                        {"max_force_n", tool.max_force_n},
+                        {"round_trip_us",
+                         {{"p50", us(counts.round_trip_p50_ns)},
+                          {"p99", us(counts.round_trip_p99_ns)},
+                          {"max", us(counts.round_trip_max_ns)}}}};
+  }
+  const nlohmann::json summary = {{"scene", outcome.scene},
                                   {"duration_s", outcome.duration_s},
-                                  {"poses_sent", counts.hands_written},
-                                  {"forces_received", counts.forces_received},
-                                  {"answered_pct", outcome.answered_pct()},
-                                  {"unanswered", counts.hands_unanswered},
-                                  {"repeated", counts.repeated},
-                                  {"out_of_order", counts.out_of_order},
-                                  {"peak_force_n", counts.peak_force_n},
-                                  {"max_force_n", outcome.max_force_n},
-                                  {"round_trip_us",
-                                   {{"p50", us(counts.round_trip_p50_ns)},
-                                    {"p99", us(counts.round_trip_p99_ns)},
-                                    {"max", us(counts.round_trip_max_ns)}}},
+                                  {"tools", tools},
                                   {"step_ms",
                                    {{"p50", outcome.steps.p50_ms},
                                     {"p99_worst_period", outcome.steps.worst_p99_ms},
@@ -389,22 +577,43 @@ std::string summary_json(const DeviceArguments& arguments, const Outcome& outcom
   return summary.dump(2) + "\n";
 }
 
+/// The tracks of the tools asked for, or of all tools of the file.
+std::vector<const SurgeonTrack*> choose_tracks(const Surgeon& surgeon,
+                                               const DeviceArguments& arguments) {
+  std::vector<const SurgeonTrack*> tracks;
+  for (const std::string& tool : arguments.tools) {
+    const SurgeonTrack* track = surgeon.track(tool);
+    if (track == nullptr) {
+      std::string known;
+      for (const SurgeonTrack& other : surgeon.tracks) {
+        known += (known.empty() ? "" : ", ") + other.tool;
+      }
+      throw Error(ErrorCode::kBadInput,
+                  arguments.surgeon + ": has no rows of the tool \"" + tool + "\"",
+                  "it has rows of " + known);
+    }
+    if (std::find(tracks.begin(), tracks.end(), track) != tracks.end()) {
+      throw Error(ErrorCode::kBadInput, "--tool " + tool + " stands there twice",
+                  "one device holds a tool: name each once");
+    }
+    tracks.push_back(track);
+  }
+  if (tracks.empty()) {
+    for (const SurgeonTrack& track : surgeon.tracks) tracks.push_back(&track);
+  }
+  return tracks;
+}
+
 }  // namespace
 
 int run_device(const DeviceArguments& arguments) {
   const Surgeon surgeon = read_surgeon(arguments.surgeon);
-  const SurgeonTrack* track = surgeon.track(arguments.tool);
-  if (track == nullptr) {
-    std::string known;
-    for (const SurgeonTrack& other : surgeon.tracks) {
-      known += (known.empty() ? "" : ", ") + other.tool;
-    }
-    throw Error(ErrorCode::kBadInput,
-                arguments.surgeon + ": has no rows of the tool \"" + arguments.tool + "\"",
-                "it has rows of " + known);
-  }
-  ForceLog log(arguments.log);
-  const Outcome outcome = play(arguments, *track, log);
+  const std::vector<const SurgeonTrack*> tracks = choose_tracks(surgeon, arguments);
+  std::vector<std::string> tools;
+  tools.reserve(tracks.size());
+  for (const SurgeonTrack* track : tracks) tools.push_back(track->tool);
+  ForceLog log(arguments.log, tools);
+  const Outcome outcome = play(arguments, tracks, tools, log);
   print_summary(outcome);
   if (!arguments.plot.empty()) {
     std::vector<PlotMark> marks;
@@ -413,13 +622,17 @@ int run_device(const DeviceArguments& arguments) {
         marks.push_back({entry.time_s, entry.event.kind + " " + entry.event.object});
       }
     }
+    std::vector<PlotCurve> curves;
+    for (std::size_t i = 0; i < tools.size(); ++i) curves.push_back({tools[i], &log.trace(i)});
     const std::string title =
-        "Force on the tool \"" + arguments.tool + "\" (" + outcome.scene + ")";
-    write_text(arguments.plot, force_plot_svg(log.trace(), marks, title));
+        tools.size() == 1
+            ? "Force on the tool \"" + tools[0] + "\" (" + outcome.scene + ")"
+            : "Force on " + std::to_string(tools.size()) + " tools (" + outcome.scene + ")";
+    write_text(arguments.plot, force_plot_svg(curves, marks, title));
     std::printf("  plot                  %s\n", arguments.plot.c_str());
   }
   if (!arguments.summary.empty()) {
-    write_text(arguments.summary, summary_json(arguments, outcome));
+    write_text(arguments.summary, summary_json(outcome));
     std::printf("  summary               %s\n", arguments.summary.c_str());
   }
   return interrupted ? kInterrupted : kDone;

@@ -39,7 +39,11 @@ void ForceTrace::merge_neighbours() {
   per_column_ *= 2;
 }
 
-ForceLog::ForceLog(const std::string& path) : path_(path) {
+ForceLog::ForceLog(const std::string& path, std::span<const std::string> tools) : path_(path) {
+  for (const std::string& tool : tools) {
+    lanes_.push_back(std::make_unique<Lane>());
+    lanes_.back()->tool = tool;
+  }
   if (!path.empty()) {
     file_ = std::fopen(path.c_str(), "w");
     if (file_ == nullptr) {
@@ -47,7 +51,7 @@ ForceLog::ForceLog(const std::string& path) : path_(path) {
                   "check the path and its permissions");
     }
     std::fputs(
-        "time_s,hand_sequence,force_sequence,state,faults,px_m,py_m,pz_m,qx,qy,qz,qw,jaw,"
+        "time_s,tool,hand_sequence,force_sequence,state,faults,px_m,py_m,pz_m,qx,qy,qz,qw,jaw,"
         "fx_n,fy_n,fz_n,tx_nm,ty_nm,tz_nm,round_trip_us,model_age_us\n",
         file_);
   }
@@ -60,14 +64,21 @@ ForceLog::~ForceLog() {
   if (file_ != nullptr) std::fclose(file_);
 }
 
-void ForceLog::push(const ForceRecord& record) noexcept {
-  const std::uint64_t head = head_.load(std::memory_order_relaxed);
-  if (head - tail_.load(std::memory_order_acquire) >= kCapacity) {
-    dropped_.fetch_add(1, std::memory_order_relaxed);
+void ForceLog::push(std::size_t tool, const ForceRecord& record) noexcept {
+  Lane& lane = *lanes_[tool];
+  const std::uint64_t head = lane.head.load(std::memory_order_relaxed);
+  if (head - lane.tail.load(std::memory_order_acquire) >= kCapacity) {
+    lane.dropped.fetch_add(1, std::memory_order_relaxed);
     return;
   }
-  ring_[head % kCapacity] = record;
-  head_.store(head + 1, std::memory_order_release);
+  lane.ring[head % kCapacity] = record;
+  lane.head.store(head + 1, std::memory_order_release);
+}
+
+std::uint64_t ForceLog::dropped() const noexcept {
+  std::uint64_t sum = 0;
+  for (const auto& lane : lanes_) sum += lane->dropped;
+  return sum;
 }
 
 void ForceLog::finish() {
@@ -92,28 +103,32 @@ void ForceLog::work() {
 }
 
 void ForceLog::drain() {
-  std::uint64_t tail = tail_.load(std::memory_order_relaxed);
-  while (tail != head_.load(std::memory_order_acquire)) {
-    const ForceRecord& record = ring_[tail % kCapacity];
-    trace_.add(record.time_s, length_of(record.force.force_n));
-    if (file_ != nullptr) write(record);
-    tail_.store(++tail, std::memory_order_release);
+  for (const auto& lane : lanes_) drain(*lane);
+}
+
+void ForceLog::drain(Lane& lane) {
+  std::uint64_t tail = lane.tail.load(std::memory_order_relaxed);
+  while (tail != lane.head.load(std::memory_order_acquire)) {
+    const ForceRecord& record = lane.ring[tail % kCapacity];
+    lane.trace.add(record.time_s, length_of(record.force.force_n));
+    if (file_ != nullptr) write(lane, record);
+    lane.tail.store(++tail, std::memory_order_release);
   }
 }
 
-void ForceLog::write(const ForceRecord& record) {
+void ForceLog::write(const Lane& lane, const ForceRecord& record) {
   const Hand& hand = record.hand;
   const Force& force = record.force;
-  std::fprintf(file_,
-               "%.6f,%llu,%llu,%s,%u,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.6g,"
-               "%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.1f,%u\n",
-               record.time_s, static_cast<unsigned long long>(force.hand_sequence),
-               static_cast<unsigned long long>(force.sequence), name_of(force.state), force.faults,
-               hand.position_m[0], hand.position_m[1], hand.position_m[2], hand.orientation_xyzw[0],
-               hand.orientation_xyzw[1], hand.orientation_xyzw[2], hand.orientation_xyzw[3],
-               hand.jaw, force.force_n[0], force.force_n[1], force.force_n[2], force.torque_nm[0],
-               force.torque_nm[1], force.torque_nm[2],
-               1e-3 * static_cast<double>(force.round_trip_ns), force.model_age_us);
+  std::fprintf(
+      file_,
+      "%.6f,%s,%llu,%llu,%s,%u,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.6g,"
+      "%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%.1f,%u\n",
+      record.time_s, lane.tool.c_str(), static_cast<unsigned long long>(force.hand_sequence),
+      static_cast<unsigned long long>(force.sequence), name_of(force.state), force.faults,
+      hand.position_m[0], hand.position_m[1], hand.position_m[2], hand.orientation_xyzw[0],
+      hand.orientation_xyzw[1], hand.orientation_xyzw[2], hand.orientation_xyzw[3], hand.jaw,
+      force.force_n[0], force.force_n[1], force.force_n[2], force.torque_nm[0], force.torque_nm[1],
+      force.torque_nm[2], 1e-3 * static_cast<double>(force.round_trip_ns), force.model_age_us);
 }
 
 }  // namespace suture::cli

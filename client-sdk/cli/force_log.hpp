@@ -5,8 +5,11 @@
 #include <atomic>
 #include <cstdint>
 #include <cstdio>
+#include <memory>
+#include <span>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include "suture/types.hpp"
 
@@ -42,41 +45,50 @@ class ForceTrace {
   std::size_t in_last_ = 0;
 };
 
-/// Takes forces from the receive thread without ever holding it up, and writes them to a
-/// CSV file and a trace on a thread of its own.
+/// Takes the forces of several tools from the receive thread without ever holding it up, and
+/// writes them to one CSV file and a trace a tool, on a thread of its own.
 ///
-/// Between the two is a ring of 16384 records (16 s at 1 kHz); what does not fit is
-/// dropped and counted. `push` is for one thread.
+/// Between the two is a ring a tool of 16384 records (16 s at 1 kHz); what does not fit is
+/// dropped and counted. `push` is for one thread a tool. Lines of one tool keep their order;
+/// those of several are mixed within 20 ms.
 class ForceLog {
  public:
   /// Opens `path`, none if empty. Throws Error kBadInput.
-  explicit ForceLog(const std::string& path);
+  ForceLog(const std::string& path, std::span<const std::string> tools);
   ~ForceLog();
   ForceLog(const ForceLog&) = delete;
   ForceLog& operator=(const ForceLog&) = delete;
 
-  /// Hands over a record. Neither waits nor allocates.
-  void push(const ForceRecord& record) noexcept;
+  /// Hands over a record of the tool of that index. Neither waits nor allocates.
+  void push(std::size_t tool, const ForceRecord& record) noexcept;
 
   /// Writes what is left and closes the file; throws Error where the disk refused.
   void finish();
 
-  [[nodiscard]] std::uint64_t dropped() const noexcept { return dropped_; }
+  [[nodiscard]] std::uint64_t dropped() const noexcept;
   /// After `finish` only.
-  [[nodiscard]] const ForceTrace& trace() const noexcept { return trace_; }
+  [[nodiscard]] const ForceTrace& trace(std::size_t tool) const noexcept {
+    return lanes_[tool]->trace;
+  }
 
  private:
+  static constexpr std::size_t kCapacity = 16384;
+  struct Lane {
+    std::string tool;
+    std::array<ForceRecord, kCapacity> ring{};
+    std::atomic<std::uint64_t> head{0};  // written
+    std::atomic<std::uint64_t> tail{0};  // read
+    std::atomic<std::uint64_t> dropped{0};
+    ForceTrace trace;
+  };
+
   void work();
   void drain();
-  void write(const ForceRecord& record);
+  void drain(Lane& lane);
+  void write(const Lane& lane, const ForceRecord& record);
 
-  static constexpr std::size_t kCapacity = 16384;
-  std::array<ForceRecord, kCapacity> ring_{};
-  std::atomic<std::uint64_t> head_{0};  // written
-  std::atomic<std::uint64_t> tail_{0};  // read
-  std::atomic<std::uint64_t> dropped_{0};
+  std::vector<std::unique_ptr<Lane>> lanes_;  // one a tool
   std::atomic<bool> finishing_{false};
-  ForceTrace trace_;
   std::string path_;
   std::FILE* file_ = nullptr;
   std::thread worker_;

@@ -2,6 +2,7 @@
 #include "force_plot.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 
@@ -11,6 +12,9 @@ namespace {
 constexpr double kWidth = 960, kHeight = 360;
 constexpr double kLabelWidth = 10;
 constexpr double kLeft = 64, kRight = 16, kTop = 44, kBottom = 44;
+// Told apart by most eyes, and from the red of the marks; repeated beyond six curves.
+constexpr std::array<const char*, 6> kColours{"#2471a3", "#d68910", "#1e8449",
+                                              "#7d3c98", "#566573", "#117a65"};
 
 /// Returns the round number (1, 2 or 5 times a power of ten) that cuts `range` into at
 /// most `most` parts.
@@ -52,14 +56,20 @@ std::string escaped(const std::string& text) {
 
 }  // namespace
 
-std::string force_plot_svg(const ForceTrace& trace, std::span<const PlotMark> marks,
+std::string force_plot_svg(std::span<const PlotCurve> curves, std::span<const PlotMark> marks,
                            const std::string& title) {
   double begin_s = 0.0, end_s = 1.0, peak_n = 0.0;
-  if (trace.size() > 0) {
-    begin_s = trace.begin()->time_s;
-    end_s = std::max((trace.end() - 1)->time_s, begin_s + 1e-3);
+  bool some = false;
+  for (const PlotCurve& curve : curves) {
+    const ForceTrace& trace = *curve.trace;
+    if (trace.size() == 0) continue;
+    const double first_s = trace.begin()->time_s, last_s = (trace.end() - 1)->time_s;
+    begin_s = some ? std::min(begin_s, first_s) : first_s;
+    end_s = some ? std::max(end_s, last_s) : last_s;
     for (const ForceTrace::Column& column : trace) peak_n = std::max(peak_n, column.max_n);
+    some = true;
   }
+  end_s = std::max(end_s, begin_s + 1e-3);
   const double force_step = round_step(std::max(peak_n, 1e-3), 5);
   const double top_n = std::max(std::ceil(peak_n / force_step), 1.0) * force_step;
   const double time_step = round_step(end_s - begin_s, 10);
@@ -106,9 +116,12 @@ std::string force_plot_svg(const ForceTrace& trace, std::span<const PlotMark> ma
     svg += "font-size=\"10\" fill=\"#c0392b\">" + escaped(mark.label) + "</text>\n";
   }
   // The envelope: up along the largest values, back along the smallest.
-  if (trace.size() > 0) {
-    svg +=
-        "<path fill=\"#2471a3\" fill-opacity=\"0.35\" stroke=\"#2471a3\" stroke-width=\"1\" d=\"M";
+  for (std::size_t i = 0; i < curves.size(); ++i) {
+    const ForceTrace& trace = *curves[i].trace;
+    if (trace.size() == 0) continue;
+    const char* colour = kColours[i % kColours.size()];
+    append(svg, "<path fill=\"%s\" fill-opacity=\"0.35\" stroke=\"%s\" stroke-width=\"1\" d=\"M",
+           colour, colour);
     for (const ForceTrace::Column& column : trace) {
       append(svg, "%.2f %.2f ", x(column.time_s), y(column.max_n));
     }
@@ -117,6 +130,14 @@ std::string force_plot_svg(const ForceTrace& trace, std::span<const PlotMark> ma
       append(svg, "%.2f %.2f ", x(column->time_s), y(column->min_n));
     }
     svg += "Z\"/>\n";
+  }
+  double legend_x = kLeft;
+  for (std::size_t i = 0; curves.size() > 1 && i < curves.size(); ++i) {
+    append(svg, "<path d=\"M%g 34h14\" stroke=\"%s\" stroke-width=\"3\"/>", legend_x,
+           kColours[i % kColours.size()]);
+    append(svg, "<text x=\"%g\" y=\"38\" fill=\"#444\">", legend_x + 18);
+    svg += escaped(curves[i].label) + "</text>\n";
+    legend_x += 34.0 + 7.0 * static_cast<double>(curves[i].label.size());
   }
   append(svg, "<path d=\"M%g %gV%gH%g\" fill=\"none\" stroke=\"#444\"/>\n</svg>\n", kLeft, kTop,
          kHeight - kBottom, kWidth - kRight);

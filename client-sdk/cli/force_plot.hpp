@@ -14,9 +14,16 @@ struct PlotMark {
   std::string label;
 };
 
-/// Returns a picture of force over time as a self-contained SVG: the envelope of the
-/// samples, axes in round numbers, marks with labels. Readable on light and dark pages.
-[[nodiscard]] std::string force_plot_svg(const ForceTrace& trace, std::span<const PlotMark> marks,
-                                         const std::string& title);
+/// One tool's force over time.
+struct PlotCurve {
+  std::string label;
+  const ForceTrace* trace = nullptr;
+};
+
+/// Returns a picture of force over time as a self-contained SVG: the envelope of each curve's
+/// samples, axes in round numbers, marks with labels; a legend where there are several curves.
+/// Readable on light and dark pages.
+[[nodiscard]] std::string force_plot_svg(std::span<const PlotCurve> curves,
+                                         std::span<const PlotMark> marks, const std::string& title);
 
 }  // namespace suture::cli

@@ -64,7 +64,10 @@ int run(int argc, char** argv) {
   CLI::App* device_command = app.add_subcommand(
       "device", "Play a surgeon file as a haptic device would, and feel the forces");
   add_session_options(*device_command, device.session);
-  device_command->add_option("--tool", device.tool, "tool of the scene to hold")->required();
+  device_command
+      ->add_option("--tool", device.tools,
+                   "tool to hold, once for each; all tools of the surgeon file by default")
+      ->allow_extra_args(false);
   device_command
       ->add_option("--surgeon", device.surgeon,
                    "motions: CSV with time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw; world frame")
@@ -83,8 +86,12 @@ int run(int argc, char** argv) {
   device_command->add_flag("--quiet", device.quiet, "print the summary only");
   device_command->footer(
       "Examples:\n"
-      "  suture device --tool driver --surgeon stitch.csv\n"
-      "  suture device --tool driver --surgeon stitch.csv --log forces.csv --plot force.svg");
+      "  suture device --surgeon stitch.csv\n"
+      "  suture device --tool driver --surgeon stitch.csv --log forces.csv --plot force.svg\n"
+      "Several tools are as many devices on one clock: it starts when the server has answered "
+      "each\n"
+      "of them, until then they stand at their first poses. A tool leaves when its rows end; a\n"
+      "fault of one ends all.");
 
   TopArguments top;
   CLI::App* top_command =

@@ -79,7 +79,7 @@ class Compliance {
   std::shared_ptr<const fem::CholeskyFactor> factor_;
   int capacity_ = 0;
   std::size_t pitch_ = 0;  ///< doubles from one row of G to the next
-  int high_water_ = 0;  ///< slots beyond it were never used
+  int high_water_ = 0;     ///< slots beyond it were never used
   std::uint64_t step_ = 0, walks_ = 0;
   std::vector<std::int32_t> slot_of_vertex_;  ///< −1 where not cached
   std::vector<fem::PathColumns> columns_;     ///< per slot; vertex −1 where free
@@ -92,8 +92,8 @@ class Compliance {
   std::vector<double> entry_coefficient_;     ///< 4 per entry, the last zero
   std::vector<std::int32_t> row_first_;       ///< m + 1: where a row's entries begin
   std::vector<double> row_times_g_;           ///< T = C G, rows padded by one
-  std::vector<Vec3> force_n_;  ///< per slot: Cᵀ λ
-  std::vector<int> loaded_;    ///< slots with a force
+  std::vector<Vec3> force_n_;                 ///< per slot: Cᵀ λ
+  std::vector<int> loaded_;                   ///< slots with a force
   std::vector<double> forward_;
   ComplianceMatrix w_;
 };

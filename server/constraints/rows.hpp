@@ -68,7 +68,7 @@ struct Row {
   }
   /// Returns Jᵗ of tool `who`, or null where it does not feel the row.
   [[nodiscard]] const Vec6* jacobian_of(std::int32_t who) const {
-    return who < 0 ? nullptr
+    return who < 0              ? nullptr
            : tool == who        ? &tool_jacobian
            : second_tool == who ? &second_tool_jacobian
                                 : nullptr;

@@ -23,8 +23,8 @@ Proximity vertex_face(const Vec3& v, const Vec3& a, const Vec3& b, const Vec3& c
   return out;
 }
 
-Proximity edge_edge(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d,
-                    const Vec3& outward, double sine_min) {
+Proximity edge_edge(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, const Vec3& outward,
+                    double sine_min) {
   Proximity out;
   const Vec3 e = b - a, f = d - c;
   const Vec3 cross = e.cross(f);

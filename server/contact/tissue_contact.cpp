@@ -29,8 +29,8 @@ constexpr double kFlat = 0.02;
 constexpr double kSineMin = 0.05;
 // Row compliance times modulus: 2e-5 m/N at 200 kPa.
 constexpr double kComplianceTimesModulus = 2e-5 * 2e5;
-// Above this share of E h² a pair's force is large enough to make its step overshoot.
-constexpr double kResistedForce = 0.05;
+// How far a row that carries force goes to its pair's present normal in a step.
+constexpr double kRelaxation = 0.5;
 constexpr double kRestBehind_m = 1e-6;
 
 std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
@@ -41,8 +41,8 @@ bool shares_vertex(const geometry::Triangle& t, std::int32_t v) {
 
 }  // namespace
 
-TissueContact::TissueContact(const geometry::BoundarySurface& surface,
-                             std::span<const Vec3> rest_m, std::vector<int> tissue_of_triangle,
+TissueContact::TissueContact(const geometry::BoundarySurface& surface, std::span<const Vec3> rest_m,
+                             std::vector<int> tissue_of_triangle,
                              std::vector<double> young_modulus_pa)
     : surface_(&surface),
       features_(surface.triangles, rest_m.size()),
@@ -88,15 +88,19 @@ bool TissueContact::admit(Pair& pair) const {
   if (!p.valid || p.gap_m > reach_m || p.gap_m < -kDepthMax_m) return false;
   const Pair* const before = known(pair.key());
   if (before == nullptr && p.gap_m < -(kNewDepth_m + 2.0 * speed_m_)) return false;
-  if (before != nullptr) pair.force_n = before->force_n;
+  if (before != nullptr) {
+    pair.force_n = before->force_n;
+    pair.normal = before->normal;
+    pair.coefficient = before->coefficient;
+  }
   return p.margin >= -(pair.force_n > 0.0 ? kOutsideCarried : kOutside);
 }
 
 /// Whether the vertex lies behind the triangle at rest already, on the other side of the wall.
 bool TissueContact::through_solid(std::int32_t vertex, std::int32_t triangle) const {
   const auto& t = surface_->triangles[at(triangle)];
-  const auto there = vertex_face(rest_m_[at(vertex)], rest_m_[at(t[0])], rest_m_[at(t[1])],
-                                 rest_m_[at(t[2])]);
+  const auto there =
+      vertex_face(rest_m_[at(vertex)], rest_m_[at(t[0])], rest_m_[at(t[1])], rest_m_[at(t[2])]);
   return !there.valid || there.gap_m < -kRestBehind_m;
 }
 
@@ -116,8 +120,7 @@ int TissueContact::tissue_of(const Pair& pair, bool second) const {
   return tissue_of_triangle_[at(triangle_of(pair, second))];
 }
 
-void TissueContact::search(std::span<const Vec3> positions_m,
-                           const geometry::TriangleTree& tree) {
+void TissueContact::search(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree) {
   const double kept = kReachMax_m + kMargin_m, radius = kept + 0.25 * edge_length_m_;
   // Not all look again at once.
   const auto spread = [](std::size_t i) {
@@ -166,30 +169,26 @@ void TissueContact::search(std::span<const Vec3> positions_m,
     double nearest = radius;
     near_edge_[i].clear();
     const Vec3 half = Vec3::Constant(radius);
-    tree.for_each_overlap(
-        {a.cwiseMin(b) - half, a.cwiseMax(b) + half}, [&](std::int32_t t) {
-          if (!facing(edge.triangles[0], t) &&
-              !(edge.triangles[1] >= 0 && facing(edge.triangles[1], t)))
-            return;
-          const bool self =
-              tissue_of_triangle_[at(edge.triangles[0])] == tissue_of_triangle_[at(t)];
-          if (self && through_solid(edge.vertices[0], t)) return;
-          for (const auto f : features_.edges_of(t)) {
-            if (f <= static_cast<std::int32_t>(i)) continue;  // each pair once
-            const SurfaceEdge& other = edges[at(f)];
-            if (shares_vertex({other.vertices[0], other.vertices[1], -1}, edge.vertices[0]) ||
-                shares_vertex({other.vertices[0], other.vertices[1], -1}, edge.vertices[1]))
-              continue;
-            // A lower bound of the distance suffices here.
-            const Vec3 &c = positions_m[at(other.vertices[0])],
-                       &d = positions_m[at(other.vertices[1])];
-            const double distance =
-                geometry::Box(a.cwiseMin(b), a.cwiseMax(b))
-                    .exteriorDistance(geometry::Box(c.cwiseMin(d), c.cwiseMax(d)));
-            if (distance <= kept) near_edge_[i].push_back(f);
-            nearest = std::min(nearest, distance);
-          }
-        });
+    tree.for_each_overlap({a.cwiseMin(b) - half, a.cwiseMax(b) + half}, [&](std::int32_t t) {
+      if (!facing(edge.triangles[0], t) &&
+          !(edge.triangles[1] >= 0 && facing(edge.triangles[1], t)))
+        return;
+      const bool self = tissue_of_triangle_[at(edge.triangles[0])] == tissue_of_triangle_[at(t)];
+      if (self && through_solid(edge.vertices[0], t)) return;
+      for (const auto f : features_.edges_of(t)) {
+        if (f <= static_cast<std::int32_t>(i)) continue;  // each pair once
+        const SurfaceEdge& other = edges[at(f)];
+        if (shares_vertex({other.vertices[0], other.vertices[1], -1}, edge.vertices[0]) ||
+            shares_vertex({other.vertices[0], other.vertices[1], -1}, edge.vertices[1]))
+          continue;
+        // A lower bound of the distance suffices here.
+        const Vec3 &c = positions_m[at(other.vertices[0])], &d = positions_m[at(other.vertices[1])];
+        const double distance = geometry::Box(a.cwiseMin(b), a.cwiseMax(b))
+                                    .exteriorDistance(geometry::Box(c.cwiseMin(d), c.cwiseMax(d)));
+        if (distance <= kept) near_edge_[i].push_back(f);
+        nearest = std::min(nearest, distance);
+      }
+    });
     const double clear = near_edge_[i].empty() ? nearest - kReachMax_m : kMargin_m;
     edge_due_[i] = motion_m_ + 0.5 * spread(i) * clear;
     std::sort(near_edge_[i].begin(), near_edge_[i].end());
@@ -228,9 +227,9 @@ void TissueContact::choose_vertex(std::int32_t vertex, std::span<const std::int3
   }
   // Behind several faces, the vertex has come in through the nearest.
   const auto deeper = [&](const Pair& pair) { return pair.proximity.gap_m < shallowest; };
-  pairs_.erase(std::remove_if(pairs_.begin() + static_cast<std::ptrdiff_t>(first), pairs_.end(),
-                              deeper),
-               pairs_.end());
+  pairs_.erase(
+      std::remove_if(pairs_.begin() + static_cast<std::ptrdiff_t>(first), pairs_.end(), deeper),
+      pairs_.end());
 }
 
 void TissueContact::choose_edge(std::int32_t index, std::span<const std::int32_t> others,
@@ -278,8 +277,7 @@ void TissueContact::renew(Pair& pair, std::span<const Vec3> x) const {
   }
   const Vec3 outward = edge_normal(features_.edges()[at(pair.first)]) -
                        edge_normal(features_.edges()[at(pair.second)]);
-  pair.proximity =
-      edge_edge(x[at(v[0])], x[at(v[1])], x[at(v[2])], x[at(v[3])], outward, kSineMin);
+  pair.proximity = edge_edge(x[at(v[0])], x[at(v[1])], x[at(v[2])], x[at(v[3])], outward, kSineMin);
 }
 
 void TissueContact::choose(std::span<const Vec3> positions_m) {
@@ -294,8 +292,7 @@ void TissueContact::choose(std::span<const Vec3> positions_m) {
   chosen_at_m_ = motion_m_;
 }
 
-void TissueContact::update(std::span<const Vec3> positions_m,
-                           const geometry::TriangleTree& tree) {
+void TissueContact::update(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree) {
   const auto vertices = features_.vertices();
   if (last_m_.empty()) {
     for (const auto v : vertices) last_m_.push_back(positions_m[at(v)]);
@@ -320,6 +317,15 @@ void TissueContact::update(std::span<const Vec3> positions_m,
   } else {
     for (Pair& pair : pairs_) renew(pair, positions_m);
   }
+  for (Pair& pair : pairs_) follow(pair);
+}
+
+void TissueContact::follow(Pair& pair) {
+  const Proximity& now = pair.proximity;
+  const double share = pair.force_n > 0.0 ? kRelaxation : 1.0;
+  pair.normal = ((1.0 - share) * pair.normal + share * now.normal).normalized();
+  for (std::size_t i = 0; i < 4; ++i)
+    pair.coefficient[i] = std::lerp(pair.coefficient[i], now.coefficient[i], share);
 }
 
 double TissueContact::softer_modulus_pa(const Pair& pair) const {
@@ -327,36 +333,19 @@ double TissueContact::softer_modulus_pa(const Pair& pair) const {
                   young_modulus_pa_[at(triangle_of(pair, true))]);
 }
 
-void TissueContact::add_rows(std::span<const Vec3> positions_m,
-                             constraints::ConstraintRows& rows) {
+void TissueContact::add_rows(constraints::ConstraintRows& rows) {
   first_row_ = rows.size();
   for (const Pair& pair : pairs_) {
     constraints::Row& row = rows.add(constraints::Bounds::unilateral(), kThickness_m,
                                      kComplianceTimesModulus / softer_modulus_pa(pair));
     row.key = pair.key();
     for (std::size_t i = 0; i < 4; ++i)
-      rows.touch(pair.vertices[i], pair.proximity.coefficient[i] * pair.proximity.normal);
-  }
-  for (const Pair& pair : pairs_) {
-    const double force_n = pair.force_n;
-    if (force_n < kResistedForce * softer_modulus_pa(pair) * edge_length_m_ * edge_length_m_)
-      continue;
-    const Vec3& n = pair.proximity.normal;
-    const Vec3 first = n.unitOrthogonal();
-    for (const Vec3& across : {first, Vec3(n.cross(first))}) {
-      double now_m = 0.0;
-      for (std::size_t i = 0; i < 4; ++i)
-        now_m += pair.proximity.coefficient[i] * across.dot(positions_m[at(pair.vertices[i])]);
-      rows.add(constraints::Bounds::bilateral(), now_m, edge_length_m_ / force_n);
-      for (std::size_t i = 0; i < 4; ++i)
-        rows.touch(pair.vertices[i], pair.proximity.coefficient[i] * across);
-    }
+      rows.touch(pair.vertices[i], pair.coefficient[i] * pair.normal);
   }
 }
 
 void TissueContact::read(std::span<const double> lambda) {
-  for (std::size_t i = 0; i < pairs_.size(); ++i)
-    pairs_[i].force_n = lambda[at(first_row_) + i];
+  for (std::size_t i = 0; i < pairs_.size(); ++i) pairs_[i].force_n = lambda[at(first_row_) + i];
 }
 
 }  // namespace sutured::contact

@@ -18,14 +18,14 @@
 // known before may be deep: surfaces meet from outside. So still tissue keeps its pairs, and a step
 // is a smooth map that settles. Normals and coefficients are renewed each step.
 //
-// Resistance: the rows know the normal of the step before, not how it turns when the pair slides.
-// Under a large force λ that lets features overshoot past each other and back. Two rows across the
-// normal resist what changes in this step,
+// Relaxation: a row knows the normal of the step before, not how it turns when its pair slides.
+// Under a large force that lets features overshoot past each other and back, for ever. So where a
+// pair carries force, n and c of its row go half of the way to those of the present each step:
 //
-//     t · Σ cᵢ (xᵢ − xᵢ now) + (h / λ) μ = 0      h = mean edge length
+//     x ← A c,   c ← (1 − ω) c + ω c(x)        stable for eigenvalues of A ∂c/∂x in (1 − 2/ω, 1)
 //
-// a proximal step: once the tissue is still they carry nothing, so the equilibrium is that of
-// smooth surfaces without friction (docs/adr/0031).
+// Above 1 the equilibrium itself is unstable. Once all is still, c = c(x): the equilibrium is that
+// of surfaces without friction (docs/adr/0031).
 #pragma once
 
 #include <array>
@@ -52,8 +52,10 @@ struct Pair {
   std::int32_t first = -1;   ///< vertex of the mesh, or edge
   std::int32_t second = -1;  ///< triangle, or edge
   std::array<std::int32_t, 4> vertices{};
-  Proximity proximity;        ///< where the tissue was at the last update
-  double force_n = 0.0;       ///< of the last solve
+  Proximity proximity;                  ///< where the tissue was at the last update
+  Vec3 normal = Vec3::Zero();           ///< of its row: follows that of `proximity`
+  std::array<double, 4> coefficient{};  ///< likewise
+  double force_n = 0.0;                 ///< of the last solve
   [[nodiscard]] std::uint64_t key() const {
     return (std::uint64_t{1} << 63) |
            (static_cast<std::uint64_t>(kind == PairKind::kEdgeEdge) << 62) |
@@ -74,8 +76,8 @@ class TissueContact {
   /// Finds and renews the pairs where the tissue is now. `tree` is over the surface, refit.
   void update(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree);
 
-  /// Adds a row per pair, and those that resist its slide. `positions_m`: of the last update.
-  void add_rows(std::span<const Vec3> positions_m, constraints::ConstraintRows& rows);
+  /// Adds a row per pair.
+  void add_rows(constraints::ConstraintRows& rows);
   void read(std::span<const double> lambda);
 
   [[nodiscard]] std::span<const Pair> pairs() const { return pairs_; }
@@ -97,6 +99,7 @@ class TissueContact {
   [[nodiscard]] bool through_solid(std::int32_t vertex, std::int32_t triangle) const;
   [[nodiscard]] Vec3 edge_normal(const SurfaceEdge& edge) const;
   void renew(Pair& pair, std::span<const Vec3> positions_m) const;
+  static void follow(Pair& pair);
 
   const geometry::BoundarySurface* surface_ = nullptr;
   SurfaceFeatures features_;
@@ -110,7 +113,7 @@ class TissueContact {
   std::vector<std::vector<std::int32_t>> near_vertex_, near_edge_;
   std::vector<double> vertex_due_, edge_due_;
   std::vector<std::size_t> close_vertices_, close_edges_;  ///< with candidates
-  std::vector<Pair> pairs_, known_;  ///< now; of the choice before, by key
+  std::vector<Pair> pairs_, known_;                        ///< now; of the choice before, by key
   int first_row_ = 0;
   std::uint64_t searches_ = 0;
 };

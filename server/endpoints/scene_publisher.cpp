@@ -17,6 +17,7 @@ namespace {
 
 constexpr std::int64_t kBeat_ns = 10'000'000;
 constexpr std::int64_t kStatusPeriod_ns = 500'000'000;
+constexpr std::int64_t kQualityPeriod_ns = 500'000'000;
 // A fault that lasts, or comes a thousand times a second, is told once a second.
 constexpr std::int64_t kFaultPeriod_ns = 1'000'000'000;
 constexpr int kCoursePoints = 33;
@@ -58,8 +59,12 @@ ScenePublisher::ScenePublisher(const suture::Participant& control, const suture:
       frames_(mesh),
       tools_(mesh),
       needles_(mesh),
+      threads_(mesh),
+      contacts_(mesh),
+      quality_(mesh),
       told_(served_.tools.size()),
-      tool_status_(served_.tools.size()) {
+      tool_status_(served_.tools.size()),
+      told_quality_(served_.scene.threads.size()) {
   guid_ = status_.guid();
   status_ns_ = suture::monotonic_ns();
   publish_topology();
@@ -156,7 +161,10 @@ void ScenePublisher::publish_frame(const haptics::DisplayFrame& frame) {
     frames_.write(wire);
   }
   publish_needles(frame);
+  publish_threads(frame);
+  publish_contacts(frame);
   publish_tools(frame);
+  publish_quality(frame, suture::monotonic_ns());
 }
 
 void ScenePublisher::publish_needles(const haptics::DisplayFrame& frame) {
@@ -193,6 +201,44 @@ void ScenePublisher::publish_needles(const haptics::DisplayFrame& frame) {
   }
 }
 
+void ScenePublisher::publish_threads(const haptics::DisplayFrame& frame) {
+  for (std::size_t t = 0; t < frame.threads.size(); ++t) {
+    suture::v1::ThreadState wire{};
+    set_thread(wire, served_.scene, t, frame.threads[t], punctures_);
+    wire.epoch = frame.epoch;
+    wire.sequence_number = frame_sequence_;
+    wire.stamp_ns = frame.stamp_ns;
+    threads_.write(wire);
+  }
+}
+
+void ScenePublisher::publish_contacts(const haptics::DisplayFrame& frame) {
+  suture::v1::ContactState wire{};
+  set_contacts(wire, served_.scene, frame.contacts, contact_points_);
+  wire.epoch = frame.epoch;
+  wire.sequence_number = frame_sequence_;
+  wire.stamp_ns = frame.stamp_ns;
+  wire.step = frame.step;
+  contacts_.write(wire);
+}
+
+void ScenePublisher::publish_quality(const haptics::DisplayFrame& frame, std::int64_t now_ns) {
+  for (std::size_t t = 0; t < frame.quality.size(); ++t) {
+    ToldQuality& told = told_quality_[t];
+    const bool anew = told.epoch != frame.epoch;
+    if (!anew && (now_ns - told.at_ns < kQualityPeriod_ns ||
+                  !simulation::differs(told.figures, frame.quality[t])))
+      continue;
+    told = {frame.quality[t], frame.epoch, now_ns};
+    suture::v1::Quality wire{};
+    set_quality(wire, served_.scene, t, told.figures, bites_);
+    wire.epoch = frame.epoch;
+    wire.sequence_number = ++quality_sequence_;
+    wire.stamp_ns = suture::wall_clock_ns();
+    quality_.write(wire);
+  }
+}
+
 void ScenePublisher::publish_tools(const haptics::DisplayFrame& frame) {
   for (std::size_t i = 0; i < served_.tools.size(); ++i) {
     const haptics::ToolReport& report = served_.tools[i].channel->report();
@@ -212,11 +258,8 @@ void ScenePublisher::publish_tools(const haptics::DisplayFrame& frame) {
     wire.jaw = report.jaw;
     std::copy(report.wrench.force_n.begin(), report.wrench.force_n.end(), wire.force_n);
     std::copy(report.wrench.torque_nm.begin(), report.wrench.torque_nm.end(), wire.torque_nm);
-    for (std::size_t n = 0; n < frame.needles.size(); ++n) {
-      if (frame.needles[n].holder != static_cast<int>(i)) continue;
-      wire.flags |= suture_v1_FORCE_HOLDING;
-      suture::set_text(wire.holding, served_.scene.needles[n].name);
-    }
+    if (frame.held[i].kind != simulation::HeldKind::kNothing) wire.flags |= suture_v1_FORCE_HOLDING;
+    suture::set_text(wire.holding, held_name(served_.scene, frame.held[i]));
     tools_.write(wire);
   }
 }

@@ -35,6 +35,11 @@ static_assert(static_cast<int>(ToolState::kFault) == suture_v1_TOOL_FAULT);
 static_assert(static_cast<int>(ToolState::kStopped) == suture_v1_TOOL_STOPPED);
 static_assert(static_cast<int>(ToolState::kPaused) == suture_v1_TOOL_PAUSED);
 
+static_assert(static_cast<int>(simulation::ThreadEnd::kFree) == suture_v1_END_FREE);
+static_assert(static_cast<int>(simulation::ThreadEnd::kSwaged) == suture_v1_END_SWAGED);
+static_assert(static_cast<int>(simulation::ThreadEnd::kHeld) == suture_v1_END_HELD);
+static_assert(static_cast<int>(simulation::ThreadEnd::kAnchored) == suture_v1_END_ANCHORED);
+
 constexpr std::int64_t kBlend_ns = 4'000'000;
 
 template <std::size_t N>
@@ -45,6 +50,29 @@ void copy(const std::array<double, N>& from, double (&to)[N]) noexcept {
 void copy(const suture::Wrench& from, double (&to)[6]) noexcept {
   std::copy(from.force_n.begin(), from.force_n.end(), to);
   std::copy(from.torque_nm.begin(), from.torque_nm.end(), to + 3);
+}
+
+template <class Named>
+std::string_view name_at(const std::vector<Named>& list, int index) noexcept {
+  return index < 0 || static_cast<std::size_t>(index) >= list.size()
+             ? std::string_view()
+             : list[static_cast<std::size_t>(index)].name;
+}
+
+/// Who rules an end of a thread.
+std::string_view holder_name(const scene::Scene& scene, simulation::ThreadEnd end,
+                             int holder) noexcept {
+  switch (end) {
+    case simulation::ThreadEnd::kFree:
+      return {};
+    case simulation::ThreadEnd::kSwaged:
+      return name_at(scene.needles, holder);
+    case simulation::ThreadEnd::kHeld:
+      return name_at(scene.tools, holder);
+    case simulation::ThreadEnd::kAnchored:
+      return name_at(scene.tissues, holder);
+  }
+  return {};
 }
 
 suture_v1_EventKind wire_kind(simulation::EventKind kind) noexcept {
@@ -181,6 +209,96 @@ void set_event(suture::v1::Event& wire, const simulation::Event& event) noexcept
   const bool count = event.kind == simulation::EventKind::kInverted;
   suture::set_text(wire.unit, count ? "tets" : "N");
   if (count) suture::set_text(wire.text, "tets are inside out");
+}
+
+std::string_view held_name(const scene::Scene& scene, const simulation::HeldThing& held) noexcept {
+  switch (held.kind) {
+    case simulation::HeldKind::kNothing:
+      return {};
+    case simulation::HeldKind::kNeedle:
+      return name_at(scene.needles, held.index);
+    case simulation::HeldKind::kTissue:
+      return name_at(scene.tissues, held.index);
+    case simulation::HeldKind::kThread:
+      return name_at(scene.threads, held.index);
+  }
+  return {};
+}
+
+void set_thread(suture::v1::ThreadState& wire, const scene::Scene& scene, std::size_t thread,
+                const simulation::ThreadState& state,
+                std::vector<suture::v1::Puncture>& punctures) {
+  suture::set_text(wire.thread, scene.threads[thread].name);
+  wire.length_m = state.length_m;
+  wire.diameter_m = scene.threads[thread].diameter_m;
+  wire.tension_n = state.tension_n;
+  wire.slack_m = state.slack_m;
+  wire.taut = state.taut;
+  wire.head = static_cast<suture_v1_ThreadEnd>(state.head);
+  wire.tail = static_cast<suture_v1_ThreadEnd>(state.tail);
+  suture::set_text(wire.head_holder, holder_name(scene, state.head, state.head_holder));
+  suture::set_text(wire.tail_holder, holder_name(scene, state.tail, state.tail_holder));
+  static_assert(sizeof(simulation::Vec3) == 3 * sizeof(double));
+  const double* course = state.course_m.empty() ? nullptr : state.course_m[0].data();
+  suture::lend(wire.course_m, std::span<const double>(course, 3 * state.course_m.size()));
+  suture::lend(wire.arc_length_m, std::span<const double>(state.arc_length_m));
+  suture::lend(wire.segment_tension_n, std::span<const double>(state.segment_tension_n));
+  punctures.clear();
+  for (const simulation::ThreadPuncture& from : state.punctures) {
+    suture::v1::Puncture& to = punctures.emplace_back();
+    suture::set_text(to.body, name_at(scene.tissues, from.tissue));
+    for (int i = 0; i < 3; ++i) to.position_m[i] = from.position_m[i];
+    to.arc_length_m = from.arc_length_m;
+    to.inward = from.inward;
+  }
+  suture::lend(wire.punctures, std::span<const suture::v1::Puncture>(punctures));
+}
+
+void set_contacts(suture::v1::ContactState& wire, const scene::Scene& scene,
+                  std::span<const simulation::ContactPoint> contacts,
+                  std::vector<suture::v1::ContactPoint>& points) {
+  points.clear();
+  for (const simulation::ContactPoint& from : contacts) {
+    suture::v1::ContactPoint& to = points.emplace_back();
+    for (int i = 0; i < 3; ++i) to.position_m[i] = from.position_m[i];
+    for (int i = 0; i < 3; ++i) to.normal[i] = from.normal[i];
+    to.force_n = from.force_n;
+    to.gap_m = from.gap_m;
+    suture::set_text(to.body, name_at(scene.tissues, from.tissue));
+    suture::set_text(to.other, from.other_tissue >= 0 ? name_at(scene.tissues, from.other_tissue)
+                                                      : name_at(scene.needles, from.needle));
+  }
+  suture::lend(wire.points, std::span<const suture::v1::ContactPoint>(points));
+}
+
+void set_quality(suture::v1::Quality& wire, const scene::Scene& scene, std::size_t thread,
+                 const simulation::ThreadQuality& quality, std::vector<suture::v1::Bite>& bites) {
+  suture::set_text(wire.thread, scene.threads[thread].name);
+  wire.elapsed_s = quality.elapsed_s;
+  wire.needle_path_m = quality.needle_path_m;
+  wire.peak_force_n = quality.peak_force_n;
+  wire.peak_principal_stress_pa = quality.peak_principal_stress_pa;
+  wire.gap_start_m = quality.gap_start.max_m;
+  wire.gap_m = quality.gap.max_m;
+  wire.tension_n = quality.tension_n;
+  wire.bite_depth_mean_m = quality.depth_m.mean;
+  wire.bite_depth_spread_m = quality.depth_m.deviation;
+  wire.bite_spacing_mean_m = quality.spacing_m.mean;
+  wire.bite_spacing_spread_m = quality.spacing_m.deviation;
+  wire.handovers = quality.handovers;
+  wire.needle_drops = quality.needle_drops;
+  bites.clear();
+  for (const simulation::BiteFigures& from : quality.bites) {
+    suture::v1::Bite& to = bites.emplace_back();
+    suture::set_text(to.body, name_at(scene.tissues, from.tissue));
+    for (int i = 0; i < 3; ++i) to.entry_m[i] = from.entry_m[i];
+    for (int i = 0; i < 3; ++i) to.exit_m[i] = from.exit_m[i];
+    to.depth_m = from.depth_m;
+    to.edge_distance_m = from.edge_distance_m;
+    to.spacing_m = from.spacing_m;
+    to.peak_force_n = from.peak_force_n;
+  }
+  suture::lend(wire.bites, std::span<const suture::v1::Bite>(bites));
 }
 
 suture::v1::Percentiles percentiles(const haptics::LatencySummary& summary) noexcept {

@@ -3,11 +3,16 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
+#include <string_view>
+#include <vector>
 
 #include "haptics/period_latency.hpp"
 #include "haptics/simulation_loop.hpp"
 #include "haptics/tool_channel.hpp"
 #include "protocol/types.hpp"
+#include "scene/scene.hpp"
+#include "simulation/quality.hpp"
 
 namespace sutured::endpoints {
 
@@ -27,6 +32,26 @@ void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& pub
 
 /// Fills kind, subject, object, position and value of `wire`.
 void set_event(suture::v1::Event& wire, const simulation::Event& event) noexcept;
+
+/// Returns the name of the thing in a jaw; empty for none.
+[[nodiscard]] std::string_view held_name(const scene::Scene& scene,
+                                         const simulation::HeldThing& held) noexcept;
+
+/// Fills `wire` but for its epoch, number and stamp. Its sequences lend from `state` and
+/// `punctures`, which is overwritten; both must outlive the write.
+void set_thread(suture::v1::ThreadState& wire, const scene::Scene& scene, std::size_t thread,
+                const simulation::ThreadState& state, std::vector<suture::v1::Puncture>& punctures);
+
+/// Fills the points of `wire`. They lend from `points`, which is overwritten and must outlive
+/// the write.
+void set_contacts(suture::v1::ContactState& wire, const scene::Scene& scene,
+                  std::span<const simulation::ContactPoint> contacts,
+                  std::vector<suture::v1::ContactPoint>& points);
+
+/// Fills `wire` but for its epoch, number and stamp. Its bites lend from `bites`, which is
+/// overwritten and must outlive the write.
+void set_quality(suture::v1::Quality& wire, const scene::Scene& scene, std::size_t thread,
+                 const simulation::ThreadQuality& quality, std::vector<suture::v1::Bite>& bites);
 
 [[nodiscard]] suture::v1::Percentiles percentiles(const haptics::LatencySummary& summary) noexcept;
 

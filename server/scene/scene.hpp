@@ -131,11 +131,25 @@ struct Thread {
   ThreadEnds ends = ThreadEnds::kHeld;
   ThreadHead head = ThreadHead::kSwaged;
   ThreadModel model = ThreadModel::kOutside;
-  double diameter_m = 0.0003;    ///< for the eye
-  double tension_max_n = 0.5;    ///< a pull beyond it is clamped
-  double tail_length_m = 0.03;   ///< before the first of `punctures`, where the tail is free
-  std::vector<Bite> punctures;   ///< from tail to head, two a bite
+  double diameter_m = 0.0003;   ///< for the eye
+  double tension_max_n = 0.5;   ///< a pull beyond it is clamped
+  double tail_length_m = 0.03;  ///< before the first of `punctures`, where the tail is free
+  std::vector<Bite> punctures;  ///< from tail to head, two a bite
   std::vector<TimedLength> length_program;  ///< ascending times; empty for none
+};
+
+/// One side of a wound: a part of a tissue's surface.
+struct WoundEdge {
+  int tissue = -1;  ///< index into Scene::tissues
+  std::string group;
+  std::vector<geometry::Triangle> triangles;  ///< of the tissue's mesh
+  std::vector<std::int32_t> vertices;         ///< used by `triangles`, sorted
+};
+
+/// Two edges that are to be sewn together: what the gap is measured between.
+struct Wound {
+  std::string name;
+  std::array<WoundEdge, 2> edges;
 };
 
 struct Contact {
@@ -151,6 +165,7 @@ struct Scene {
   std::vector<Needle> needles;
   std::vector<Thread> threads;
   std::vector<Tool> tools;
+  std::vector<Wound> wounds;
   Contact contact;
   std::vector<std::string> notes;  ///< what a reader of the scene should know, a sentence each
 };

@@ -53,6 +53,7 @@ class SceneBuilder {
     for_each_table(table, "needle", [&](TableReader& reader) { read_needle(reader); });
     for_each_table(table, "thread", [&](TableReader& reader) { read_thread(reader); });
     for_each_table(table, "tool", [&](TableReader& reader) { read_tool(reader); });
+    for_each_table(table, "wound", [&](TableReader& reader) { read_wound(reader); });
     read_contact(table);
     table.finish();
     if (!table.has("tissue"))
@@ -237,22 +238,23 @@ class SceneBuilder {
                     "leave needle out, or write ends = \"held\" and head = \"swaged\"");
       for (const Thread& other : scene_.threads)
         if (!thread.needle.empty() && other.needle == thread.needle)
-          table.fault("needle",
-                      "threads \"" + other.name + "\" and \"" + thread.name +
-                          "\" hang on the same needle",
-                      "give each thread its own needle");
+          table.fault(
+              "needle",
+              "threads \"" + other.name + "\" and \"" + thread.name + "\" hang on the same needle",
+              "give each thread its own needle");
     }
     read_punctures(table, thread);
+    const std::size_t known = faults_.count();
     read_length_program(table, thread);
-    check_thread(table, thread);
+    check_thread(table, thread, faults_.count() == known);
     scene_.threads.push_back(std::move(thread));
   }
 
-  void check_thread(TableReader& table, const Thread& thread) {
+  void check_thread(TableReader& table, const Thread& thread, bool good_program) {
     if (thread.punctures.size() % 2 != 0)
       table.fault("punctures",
-                  table.title() + " has " + std::to_string(thread.punctures.size()) +
-                      " punctures, and every bite has two",
+                  table.title() + " has an odd number of punctures (" +
+                      std::to_string(thread.punctures.size()) + "), and every bite has two",
                   "list where each bite enters and where it leaves, from tail to head");
     for (std::size_t i = 0; i + 1 < thread.punctures.size(); i += 2)
       if (thread.punctures[i].tissue != thread.punctures[i + 1].tissue)
@@ -263,7 +265,7 @@ class SceneBuilder {
     if (thread.ends == ThreadEnds::kNone && thread.punctures.size() < 4)
       table.fault("ends", table.title() + " has no ends and fewer than two bites: nothing pulls it",
                   "list at least four punctures, or write ends = \"held\"");
-    if (!thread.length_program.empty() && thread.ends == ThreadEnds::kHeld)
+    if (good_program && !thread.length_program.empty() && thread.ends == ThreadEnds::kHeld)
       table.fault("length_program_m",
                   table.title() + " has a length program, but hands rule its ends",
                   "write ends = \"none\", or leave the program out");
@@ -284,23 +286,75 @@ class SceneBuilder {
     }
   }
 
-  std::optional<Bite> read_bite(TableReader& reader) {
+  // The tissue that `tissue` of `reader` names.
+  std::optional<std::size_t> read_tissue_name(TableReader& reader) {
     const std::string name = reader.required_text("tissue");
-    const auto point = reader.vector("point_m");
-    const toml::array* nodes = reader.array("vertices");
-    const auto barycentric = reader.vector("barycentric");
     std::vector<std::string> names;
     for (const Tissue& tissue : scene_.tissues) names.push_back(tissue.name);
     const auto found = std::find(names.begin(), names.end(), name);
-    if (found == names.end()) {
-      if (!name.empty())
-        reader.fault("tissue",
-                     reader.title() + " is in tissue \"" + name + "\", which is not in the scene" +
-                         did_you_mean(name, names),
-                     "name a [[tissue]] of the scene");
-      return std::nullopt;
+    if (found != names.end()) return static_cast<std::size_t>(found - names.begin());
+    if (!name.empty())
+      reader.fault("tissue",
+                   reader.title() + " is in tissue \"" + name + "\", which is not in the scene" +
+                       did_you_mean(name, names),
+                   "name a [[tissue]] of the scene");
+    return std::nullopt;
+  }
+
+  void read_wound(TableReader& table) {
+    Wound wound;
+    wound.name = read_name(table, scene_.wounds);
+    read_edges(table, wound);
+    scene_.wounds.push_back(std::move(wound));
+  }
+
+  void read_edges(TableReader& table, Wound& wound) {
+    if (!table.has("edges"))
+      table.fault("", table.title() + " has no edges",
+                  "write edges = [{ tissue = \"…\", group = \"…\" }, { tissue = \"…\", group = "
+                  "\"…\" }]");
+    const toml::array* items = table.array("edges");
+    if (items == nullptr) return;
+    if (items->size() != wound.edges.size()) {
+      table.fault("edges",
+                  table.title() + " has " + std::to_string(items->size()) +
+                      (items->size() == 1 ? " edge" : " edges"),
+                  "write two: the gap is measured from one to the other");
+      return;
     }
-    const auto index = static_cast<std::size_t>(found - names.begin());
+    for (std::size_t i = 0; i < wound.edges.size(); ++i) {
+      const toml::node& item = (*items)[i];
+      if (!item.is_table()) {
+        faults_.add(item.source(), "an entry of edges of " + table.title() + " is not a table",
+                    "write { tissue = \"…\", group = \"…\" }");
+        continue;
+      }
+      TableReader reader(*item.as_table(), "an edge of " + table.title(), faults_);
+      wound.edges[i] = read_edge(reader).value_or(WoundEdge());
+      reader.finish();
+    }
+    const WoundEdge &a = wound.edges[0], &b = wound.edges[1];
+    if (a.tissue >= 0 && a.tissue == b.tissue && a.group == b.group)
+      table.fault("edges", "both edges of " + table.title() + " are the same",
+                  "name the two surfaces that are to be sewn together");
+  }
+
+  std::optional<WoundEdge> read_edge(TableReader& reader) {
+    const auto index = read_tissue_name(reader);
+    const std::string group = reader.required_text("group");
+    if (!index || group.empty() || binders_[*index] == nullptr) return std::nullopt;
+    auto edge = binders_[*index]->edge_of(group, reader.place("group"));
+    if (edge) edge->tissue = static_cast<int>(*index);
+    return edge;
+  }
+
+  std::optional<Bite> read_bite(TableReader& reader) {
+    const auto point = reader.vector("point_m");
+    const toml::array* nodes = reader.array("vertices");
+    const auto barycentric = reader.vector("barycentric");
+    const auto tissue = read_tissue_name(reader);
+    if (!tissue) return std::nullopt;
+    const std::size_t index = *tissue;
     const bool by_nodes = reader.has("vertices") && reader.has("barycentric");
     if (by_nodes == reader.has("point_m") || reader.has("vertices") != reader.has("barycentric")) {
       reader.fault("", reader.title() + " needs one place",

@@ -224,6 +224,24 @@ std::optional<std::int32_t> TissueBinder::vertex_of_node(std::int64_t node,
   return std::nullopt;
 }
 
+std::optional<WoundEdge> TissueBinder::edge_of(std::string_view name,
+                                               const toml::source_region& place) {
+  const PhysicalGroup* group = find_group(name, 2, place);
+  if (group == nullptr) return std::nullopt;
+  if (group->triangles.empty()) {
+    faults_.add(place, "group \"" + std::string(name) + "\" of " + title_ + " has no triangles",
+                "the edge of a wound is a surface group");
+    return std::nullopt;
+  }
+  WoundEdge edge;
+  edge.group = name;
+  edge.triangles = group->triangles;
+  std::set<std::int32_t> used;
+  for (const Triangle& t : group->triangles) used.insert(t.begin(), t.end());
+  edge.vertices.assign(used.begin(), used.end());
+  return edge;
+}
+
 std::optional<Bite> TissueBinder::bite_at(const Vec3& point_m, const toml::source_region& place) {
   const auto& x = tissue_.mesh.vertices_m;
   Bite bite;

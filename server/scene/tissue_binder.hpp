@@ -34,6 +34,10 @@ class TissueBinder {
   void check_components(TableReader& table);
   void check_prescribed(TableReader& table);
 
+  /// The surface of a group, as a wound's edge; nullopt, with a fault at `place`, where the mesh
+  /// has no such group of surfaces.
+  std::optional<WoundEdge> edge_of(std::string_view group, const toml::source_region& place);
+
   /// The boundary point nearest to `point_m`; nullopt, with a fault at `place`, where it lies
   /// further off the surface than a mean edge.
   std::optional<Bite> bite_at(const Vec3& point_m, const toml::source_region& place);

@@ -46,6 +46,7 @@ void NeedleBody::reset() {
   path_.clear();
   pose_ = description_.pose;
   tip_ = {};
+  shaft_.reset();
   holder_ = -1;
   held_ = static_slip_ = pending_ = pending_puncture_ = pending_exit_ = false;
   axial_force_n_ = pending_slide_m_ = 0.0;
@@ -112,6 +113,11 @@ void NeedleBody::begin(const TissueState& tissue, double dt_s, bool held,
       slide = std::clamp(ahead->second - curve_.length_m(), 0.0, slide);
   pose_ = curve_.slid(pose_, slide);
   path_.slide(tissue.view(), pose_, slide, needle::Passage::kClosed);
+}
+
+void NeedleBody::find_contact(const TissueState& tissue, double reach_m) {
+  find_tip_contact(tissue, reach_m);
+  shaft_.find(tissue, *this, reach_m);
 }
 
 void NeedleBody::find_tip_contact(const TissueState& tissue, double reach_m) {
@@ -193,6 +199,7 @@ void NeedleBody::add_rows(const TissueState& tissue, ConstraintRows& rows) {
     }
   }
   cell_rows_ = rows.size() - first_cell_row_;
+  shaft_.add_rows(tissue, *this, index_, rows);
 
   tip_.first_row = rows.size();
   tip_.rows = 0;
@@ -229,6 +236,9 @@ void NeedleBody::add_rows(const TissueState& tissue, ConstraintRows& rows) {
 }
 
 bool NeedleBody::read(const ConstraintRows& rows, std::span<const double> lambda, bool may_revise) {
+  const bool pressed = shaft_.pressing();
+  shaft_.read(lambda);
+  if (shaft_.pressing() != pressed) world_changed_ = true;
   axial_force_n_ = 0.0;
   for (int i = first_cell_row_; i < first_cell_row_ + cell_rows_; ++i)
     axial_force_n_ -= rows[i].slide * lambda[at(i)];

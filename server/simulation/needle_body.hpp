@@ -24,6 +24,7 @@
 
 #include "constraints/complementarity.hpp"
 #include "needle/path.hpp"
+#include "simulation/shaft_contact.hpp"
 #include "simulation/tissue_state.hpp"
 
 namespace sutured::simulation {
@@ -58,8 +59,8 @@ class NeedleBody {
   void begin(const TissueState& tissue, double dt_s, bool held,
              const std::optional<scene::Pose>& target);
 
-  /// Looks for what the tip may meet within `reach_m`.
-  void find_tip_contact(const TissueState& tissue, double reach_m);
+  /// Looks for what tip and shaft may meet within `reach_m`.
+  void find_contact(const TissueState& tissue, double reach_m);
 
   /// Adds sticking and tip rows.
   void add_rows(const TissueState& tissue, constraints::ConstraintRows& rows);
@@ -81,6 +82,7 @@ class NeedleBody {
   [[nodiscard]] const needle::Curve& curve() const { return curve_; }
   [[nodiscard]] const needle::Path& path() const { return path_; }
   [[nodiscard]] const TipContact& tip() const { return tip_; }
+  [[nodiscard]] const ShaftContact& shaft() const { return shaft_; }
   [[nodiscard]] const scene::Needle& description() const { return description_; }
   [[nodiscard]] bool slides_freely() const {
     return held_ && !least_squares() && path_.embedded_length_m() > 0.0;
@@ -100,6 +102,7 @@ class NeedleBody {
   [[nodiscard]] int holder() const { return holder_; }
 
  private:
+  void find_tip_contact(const TissueState& tissue, double reach_m);
   void meet(const needle::TissueView& view, const needle::BoundaryPoint& point, const Vec3& tip);
   void puncture(const TissueState& tissue, double time_s, std::vector<Event>& events);
 
@@ -111,6 +114,7 @@ class NeedleBody {
   scene::Pose pose_;
   constraints::NeedleMobility mobility_;
   TipContact tip_;
+  ShaftContact shaft_;
   int holder_ = -1;
   bool held_ = false;
   bool static_slip_ = false;  ///< nobody holds it and its static friction gave way

@@ -83,6 +83,7 @@ struct Simulation::State {
   std::vector<simulation::NeedleState> needle_states;
   std::vector<simulation::ThreadState> thread_states;
   std::vector<ContactPoint> contact_points;
+  std::vector<std::pair<int, int>> touching, touching_now;  ///< tissues in contact, sorted
   std::vector<Event> events, pending_events;
   StepReport report;
   double time_s = 0.0;
@@ -136,7 +137,7 @@ struct Simulation::State {
     for (NeedleBody& needle : needles) needle.add_rows(tissue, rows);
     for (ToolBody& tool : tools) tool.add_rows(tissue, needles, kReach_m, rows);
     for (ThreadBody& thread : threads) thread.add_rows(needles, tools, rows);
-    if (contact) contact->add_rows(tissue.positions_m(), rows);
+    if (contact) contact->add_rows(rows);
   }
 
   /// Named rows start as they ended the last solve, all others without force.
@@ -200,7 +201,7 @@ struct Simulation::State {
         }
       needles[n].set_holder(holder);
       needles[n].begin(tissue, dt_s, holder >= 0, target_pose);
-      needles[n].find_tip_contact(tissue, kReach_m);
+      needles[n].find_contact(tissue, kReach_m);
     }
     for (ThreadBody& thread : threads) thread.follow(tissue, needles, tools, end_s);
     if (contact) {
@@ -281,6 +282,7 @@ struct Simulation::State {
       response_builder.build(rows, solver, lambda, needles, tools[i], static_cast<int>(i),
                              responses[i]);
       responses[i].world_changed = responses[i].world_changed || changed;
+      responses[i].held = tools[i].held(tissue);
       report.contacts += tools[i].contacts();
     }
     clear_world_changed();
@@ -291,6 +293,7 @@ struct Simulation::State {
     report_needles();
     report_threads();
     report_contacts();
+    tell_contacts();
   }
 
   /// Call when the responses have told of it: what `settle` finds after that is for the next step.
@@ -302,7 +305,22 @@ struct Simulation::State {
 
   void report_contacts() {
     contact_points.clear();
+    for (std::size_t n = 0; n < needles.size(); ++n)
+      for (const ShaftContact::Touch& touch : needles[n].shaft().touches()) {
+        if (touch.force_n <= 0.0) continue;
+        ContactPoint point;
+        point.position_m = needle::position(tissue.view(), touch.at);
+        point.normal = touch.normal;
+        point.force_n = touch.force_n;
+        point.gap_m = touch.gap_m;
+        point.tissue = tissue.tissue_of_triangle(touch.at.triangle);
+        point.needle = static_cast<int>(n);
+        contact_points.push_back(point);
+      }
+    report.contacts += static_cast<int>(contact_points.size());
+    report.contact_pairs = static_cast<int>(contact_points.size());
     if (!contact) return;
+    const std::size_t needle_points = contact_points.size();
     const auto x = tissue.positions_m();
     for (const contact::Pair& pair : contact->pairs()) {
       if (pair.force_n <= 0.0) continue;
@@ -319,8 +337,40 @@ struct Simulation::State {
       point.other_tissue = contact->tissue_of(pair, edges);
       contact_points.push_back(point);
     }
-    report.contacts += static_cast<int>(contact_points.size());
-    report.contact_pairs = static_cast<int>(contact->pairs().size());
+    report.contacts += static_cast<int>(contact_points.size() - needle_points);
+    report.contact_pairs += static_cast<int>(contact->pairs().size());
+  }
+
+  /// Tells when two tissues (or a tissue and itself) first touch, and when they part.
+  void tell_contacts() {
+    touching_now.clear();
+    for (const ContactPoint& point : contact_points)
+      if (point.needle < 0)
+        touching_now.emplace_back(std::min(point.tissue, point.other_tissue),
+                                  std::max(point.tissue, point.other_tissue));
+    std::sort(touching_now.begin(), touching_now.end());
+    touching_now.erase(std::unique(touching_now.begin(), touching_now.end()), touching_now.end());
+    const auto tell = [&](EventKind kind, const auto& those, const auto& others) {
+      for (const auto& pair : those) {
+        if (std::binary_search(others.begin(), others.end(), pair)) continue;
+        Event event{kind,
+                    time_s,
+                    scene.tissues[static_cast<std::size_t>(pair.first)].name,
+                    scene.tissues[static_cast<std::size_t>(pair.second)].name,
+                    Vec3::Zero(),
+                    0.0};
+        for (const ContactPoint& point : contact_points)
+          if (point.needle < 0 && std::min(point.tissue, point.other_tissue) == pair.first &&
+              std::max(point.tissue, point.other_tissue) == pair.second) {
+            if (event.force_n == 0.0) event.position_m = point.position_m;
+            event.force_n += point.force_n;
+          }
+        events.push_back(event);
+      }
+    };
+    tell(EventKind::kContact, touching_now, touching);
+    tell(EventKind::kContactLost, touching, touching_now);
+    touching.swap(touching_now);
   }
 
   void report_threads() {
@@ -350,6 +400,7 @@ struct Simulation::State {
     for (ThreadBody& thread : threads) thread.reset(tissue, needles);
     if (contact) contact->reset();
     contact_points.clear();
+    touching.clear();
     settled = true;
     inverted_told = 0;
     std::fill(inputs.begin(), inputs.end(), ToolInput());

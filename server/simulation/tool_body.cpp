@@ -68,6 +68,20 @@ std::string ToolBody::held_name(const TissueState& tissue, std::span<NeedleBody>
   return scene_->tissues[at(tissue.tissue_of_triangle(tissue_point_.triangle))].name;
 }
 
+HeldThing ToolBody::held(const TissueState& tissue) const {
+  switch (held_) {
+    case Held::kNeedle:
+      return {HeldKind::kNeedle, needle_};
+    case Held::kTissue:
+      return {HeldKind::kTissue, tissue.tissue_of_triangle(tissue_point_.triangle)};
+    case Held::kThread:
+      return {HeldKind::kThread, thread_};
+    case Held::kNothing:
+      break;
+  }
+  return {};
+}
+
 void ToolBody::move(const ToolInput& input, const TissueState& tissue,
                     std::span<NeedleBody> needles, std::span<ThreadBody> threads, double time_s,
                     std::vector<Event>& events) {

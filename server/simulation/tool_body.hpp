@@ -60,6 +60,7 @@ class ToolBody {
   [[nodiscard]] Vec3 grip_point_m() const { return to_world(anchor_tool_m_); }
   /// Jacobian row of a point that moves with the tool along `direction`: direction · (t + ω × r).
   [[nodiscard]] Vec6 jacobian(const Vec3& point_m, const Vec3& direction) const;
+  [[nodiscard]] HeldThing held(const TissueState& tissue) const;
   [[nodiscard]] const Vec6& wrench() const { return wrench_; }
   [[nodiscard]] const Eigen::Matrix3d& arm_moment() const { return arm_moment_; }
   [[nodiscard]] bool touching() const { return touching_; }

@@ -23,6 +23,15 @@ struct ToolInput {
   double jaw = 0.0;  ///< 0 open … 1 closed
 };
 
+/// What a jaw holds.
+enum class HeldKind : std::uint8_t { kNothing, kNeedle, kTissue, kThread };
+
+/// The thing in a jaw: one of the scene's needles, tissues or threads.
+struct HeldThing {
+  HeldKind kind = HeldKind::kNothing;
+  int index = -1;  ///< into the scene's list of that kind
+};
+
 /// Unilateral rows that may still switch while a tool moves, all else condensed out:
 ///
 ///     gap(ξ) = S λ − q − Ĵ ξ,   0 ≤ λ ≤ λ_max,   gap ⟂ λ
@@ -64,6 +73,7 @@ struct ToolResponse {
   /// M = Σ r fᵀ (N·m) over the bilateral forces f on the tool at arms r from its origin;
   /// with it the haptic model turns torques with the tool. Zero where arms do not matter.
   Eigen::Matrix3d arm_moment = Eigen::Matrix3d::Zero();
+  HeldThing held;
   bool touching = false;       ///< false: the wrench is exactly zero
   bool world_changed = false;  ///< a contact, puncture, grasp or release in this step
 };
@@ -156,7 +166,8 @@ struct StepReport {
   double complementarity_residual = 0.0;  ///< dimensionless: see SolveReport::residual
   int inverted_tets = 0;  ///< most at once, in the equilibria whose displacements are known
   int contact_pairs = 0;  ///< in reach, of which `contacts` carry force
-  std::int64_t track_ns = 0, contact_ns = 0, assemble_ns = 0, solve_ns = 0, backward_ns = 0, model_ns = 0;
+  std::int64_t track_ns = 0, contact_ns = 0, assemble_ns = 0, solve_ns = 0, backward_ns = 0,
+               model_ns = 0;
 };
 
 }  // namespace sutured::simulation

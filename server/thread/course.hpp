@@ -31,8 +31,8 @@ struct MaterialPoint {
   [[nodiscard]] Vec3 position(std::span<const Vec3> vertices_m) const {
     Vec3 sum = Vec3::Zero();
     for (int i = 0; i < count; ++i)
-      sum += weight[i] *
-             vertices_m[static_cast<std::size_t>(vertices[static_cast<std::size_t>(i)])];
+      sum +=
+          weight[i] * vertices_m[static_cast<std::size_t>(vertices[static_cast<std::size_t>(i)])];
     return sum;
   }
 };

@@ -25,8 +25,8 @@ inline constexpr double kShortSegment_m = 1e-4;
 
 struct SegmentLength {
   double length_m = 0.0;
-  Vec3 gradient = Vec3::Zero();   ///< g, by the far end
-  double curvature_per_m = 0.0;   ///< H = curvature (I − g gᵀ), or curvature I where short
+  Vec3 gradient = Vec3::Zero();  ///< g, by the far end
+  double curvature_per_m = 0.0;  ///< H = curvature (I − g gᵀ), or curvature I where short
   bool is_short = false;
 };
 

@@ -29,7 +29,7 @@ int main(int argc, char** argv) {
   std::vector<std::string> only;
   app.add_option("--out", out, "The file to write");
   app.add_option("--commit", commit, "What was built, for the record");
-  app.add_option("--only", only, "Measure these alone: step, tissue, tick, roundtrip");
+  app.add_option("--only", only, "Measure these alone: step, closure, tissue, tick, roundtrip");
   std::uint32_t echo_domain = 0;
   std::string session;
   auto* echo = app.add_option("--echo", echo_domain, "Be the bare echo in this DDS domain instead");
@@ -39,6 +39,7 @@ int main(int argc, char** argv) {
   using Measure = void (*)(sutured::bench::Figures&);
   const std::vector<std::pair<std::string, Measure>> parts = {
       {"step", sutured::bench::measure_step},
+      {"closure", sutured::bench::measure_closure},
       {"tissue", sutured::bench::measure_tissue},
       {"tick", sutured::bench::measure_tick},
       {"roundtrip", sutured::bench::measure_roundtrip},

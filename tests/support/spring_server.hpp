@@ -64,6 +64,10 @@ class SpringServer {
 
   /// Answers no more, or again.
   void set_silent(bool silent) { silent_ = silent; }
+  /// Answers poses of that tool no more; "" answers all again.
+  void set_silent_for(const std::string& tool) { silent_tool_ = suture::tool_id(tool); }
+  /// Gives the forces of that tool to a device that is not there.
+  void give_away(const std::string& tool) { given_tool_ = suture::tool_id(tool); }
   /// Gives every force to that device instead of the sender of the pose.
   void set_holder(const suture::Guid& holder) {
     const std::lock_guard lock(mutex_);
@@ -94,10 +98,11 @@ class SpringServer {
       const std::lock_guard lock(mutex_);
       last_pose_ = pose;
       last_sender_ = pose_reader_.writer_guid(info.writer).value_or(suture::kNobody);
-      if (silent_) continue;
+      if (silent_ || pose.tool_id == silent_tool_) continue;
       suture::v1::ToolForce force{};
       force.tool_id = pose.tool_id;
       suture::set_guid(force.device, holder_ != suture::kNobody ? holder_ : last_sender_);
+      if (pose.tool_id == given_tool_) force.device[0] ^= 0xffU;
       force.epoch = 1;
       force.sequence_number = ++sequence_;
       force.stamp_ns = suture::wall_clock_ns();
@@ -133,6 +138,7 @@ class SpringServer {
   Options options_;
   suture::Participant participant_;
   std::atomic<bool> ready_{false}, silent_{false}, nonsense_{false};
+  std::atomic<std::uint64_t> silent_tool_{suture::tool_id("")}, given_tool_{suture::tool_id("")};
   std::atomic<int> goodbyes_{0};
   std::mutex mutex_;
   suture::Guid holder_{};

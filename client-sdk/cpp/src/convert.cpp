@@ -86,6 +86,20 @@ Percentiles to_percentiles(const v1::Percentiles& wire) noexcept {
   return {wire.count, wire.p50_us, wire.p99_us, wire.max_us};
 }
 
+ThreadEnd to_end(v1::ThreadEnd end) noexcept {
+  switch (end) {
+    case suture_v1_END_FREE:
+      return ThreadEnd::kFree;
+    case suture_v1_END_SWAGED:
+      return ThreadEnd::kSwaged;
+    case suture_v1_END_HELD:
+      return ThreadEnd::kHeld;
+    case suture_v1_END_ANCHORED:
+      return ThreadEnd::kAnchored;
+  }
+  return ThreadEnd::kFree;
+}
+
 template <class Sequence>
 std::vector<Puncture> to_punctures(const Sequence& wire) {
   std::vector<Puncture> punctures;
@@ -141,6 +155,20 @@ const char* name_of(ForceState state) noexcept {
       return "paused";
     case ForceState::kServerSilent:
       return "server_silent";
+  }
+  return "unknown";
+}
+
+const char* name_of(ThreadEnd end) noexcept {
+  switch (end) {
+    case ThreadEnd::kFree:
+      return "free";
+    case ThreadEnd::kSwaged:
+      return "swaged";
+    case ThreadEnd::kHeld:
+      return "held";
+    case ThreadEnd::kAnchored:
+      return "anchored";
   }
   return "unknown";
 }
@@ -313,10 +341,55 @@ ThreadView to_thread(const v1::ThreadState& wire) {
   thread.tension_n = wire.tension_n;
   thread.slack_m = wire.slack_m;
   thread.taut = wire.taut;
+  thread.head = to_end(wire.head);
+  thread.tail = to_end(wire.tail);
+  thread.head_holder = text_of(wire.head_holder);
+  thread.tail_holder = text_of(wire.tail_holder);
   thread.course_m = span_of(wire.course_m);
+  thread.arc_length_m = span_of(wire.arc_length_m);
   thread.segment_tension_n = span_of(wire.segment_tension_n);
   thread.punctures = to_punctures(wire.punctures);
   return thread;
+}
+
+ContactsView to_contacts(const v1::ContactState& wire) {
+  ContactsView contacts;
+  contacts.epoch = wire.epoch;
+  contacts.stamp_ns = wire.stamp_ns;
+  contacts.step = wire.step;
+  contacts.points.reserve(wire.points._length);
+  for (const v1::ContactPoint& point : span_of(wire.points)) {
+    contacts.points.push_back({array_of(point.position_m), array_of(point.normal), point.force_n,
+                               point.gap_m, text_of(point.body), text_of(point.other)});
+  }
+  return contacts;
+}
+
+QualityView to_quality(const v1::Quality& wire) {
+  QualityView quality;
+  quality.thread = text_of(wire.thread);
+  quality.epoch = wire.epoch;
+  quality.stamp_ns = wire.stamp_ns;
+  quality.elapsed_s = wire.elapsed_s;
+  quality.needle_path_m = wire.needle_path_m;
+  quality.peak_force_n = wire.peak_force_n;
+  quality.peak_principal_stress_pa = wire.peak_principal_stress_pa;
+  quality.gap_start_m = wire.gap_start_m;
+  quality.gap_m = wire.gap_m;
+  quality.tension_n = wire.tension_n;
+  quality.bite_depth_mean_m = wire.bite_depth_mean_m;
+  quality.bite_depth_spread_m = wire.bite_depth_spread_m;
+  quality.bite_spacing_mean_m = wire.bite_spacing_mean_m;
+  quality.bite_spacing_spread_m = wire.bite_spacing_spread_m;
+  quality.handovers = wire.handovers;
+  quality.needle_drops = wire.needle_drops;
+  quality.bites.reserve(wire.bites._length);
+  for (const v1::Bite& bite : span_of(wire.bites)) {
+    quality.bites.push_back({text_of(bite.body), array_of(bite.entry_m), array_of(bite.exit_m),
+                             bite.depth_m, bite.edge_distance_m, bite.spacing_m,
+                             bite.peak_force_n});
+  }
+  return quality;
 }
 
 v1::CommandKind to_wire(CommandKind kind) noexcept {

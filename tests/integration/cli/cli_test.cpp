@@ -3,8 +3,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <atomic>
 #include <filesystem>
 #include <fstream>
+#include <map>
+#include <mutex>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
@@ -51,6 +55,29 @@ class Cli : public ::testing::Test {
                  "0.5,driver,0.02,0,0,0,0,0,1,1\n");
   }
 
+  /// Two hands that go along x at different speeds, for half a second and for 0.4 s.
+  [[nodiscard]] std::string two_hands() const {
+    return write("two.csv",
+                 "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw\n"
+                 "0,driver,0,0,0,0,0,0,1,1\n"
+                 "0,assistant,0,0.01,0,0,0,0,1,1\n"
+                 "0.4,assistant,0.008,0.01,0,0,0,0,1,1\n"
+                 "0.5,driver,0.02,0,0,0,0,0,1,1\n");
+  }
+
+  static SpringServer::Options two_tools() {
+    SpringServer::Options options = server_options();
+    options.tools = {"driver", "assistant"};
+    return options;
+  }
+
+  static std::vector<std::string> fields_of(const std::string& line) {
+    std::vector<std::string> fields;
+    std::istringstream split(line);
+    for (std::string field; std::getline(split, field, ',');) fields.push_back(field);
+    return fields;
+  }
+
   static std::vector<std::string> command(std::vector<std::string> words) {
     words.insert(words.begin(), SUTURE_CLI);
     words.insert(words.end(), {"--domain", std::to_string(own_session().domain), "--session",
@@ -78,40 +105,161 @@ TEST_F(Cli, DevicePlaysASurgeonFileAndLeavesLogPlotAndSummary) {
   EXPECT_THAT(device.output(), HasSubstr("round trip"));
 
   const nlohmann::json summary = nlohmann::json::parse(read("summary.json"));
-  EXPECT_GE(summary["poses_sent"], 300);  // 500 on an idle machine: missed ticks are skipped
-  EXPECT_LE(summary["poses_sent"], 500);
-  EXPECT_NEAR(summary["peak_force_n"], 2.0, 0.05);  // 100 N/m over 20 mm
-  EXPECT_EQ(summary["out_of_order"], 0);
-  EXPECT_GT(summary["round_trip_us"]["p50"], 0.0);
   EXPECT_FALSE(summary["interrupted"]);
+  const nlohmann::json& driver = summary["tools"]["driver"];
+  EXPECT_GE(driver["poses_sent"], 300);  // 501 on an idle machine: missed ticks are skipped
+  EXPECT_LE(driver["poses_sent"], 501);  // from 0 to 0.5 s, both included
+  EXPECT_NEAR(driver["peak_force_n"], 2.0, 0.05);  // 100 N/m over 20 mm
+  EXPECT_EQ(driver["out_of_order"], 0);
+  EXPECT_GT(driver["round_trip_us"]["p50"], 0.0);
 
   // Each line of the log holds a pose of the file and the force that answers it.
   std::istringstream log(read("log.csv"));
   std::string line;
   std::getline(log, line);
-  EXPECT_THAT(line, MatchesRegex("time_s,hand_sequence,.*round_trip_us,model_age_us"));
+  EXPECT_THAT(line, MatchesRegex("time_s,tool,hand_sequence,.*round_trip_us,model_age_us"));
   int lines = 0;
   std::uint64_t last_sequence = 0;
   while (std::getline(log, line)) {
     ++lines;
-    std::vector<std::string> fields;
-    std::istringstream split(line);
-    for (std::string field; std::getline(split, field, ',');) fields.push_back(field);
-    ASSERT_EQ(fields.size(), 21U) << line;
+    const std::vector<std::string> fields = fields_of(line);
+    ASSERT_EQ(fields.size(), 22U) << line;
+    EXPECT_EQ(fields[1], "driver");
     const double time_s = std::stod(fields[0]);
-    const double x_m = std::stod(fields[5]);
+    const double x_m = std::stod(fields[6]);
     EXPECT_NEAR(x_m, 0.04 * time_s, 1e-7);  // microseconds in the text
-    EXPECT_NEAR(std::stod(fields[13]), -100.0 * x_m, 1e-7);
-    const std::uint64_t sequence = std::stoull(fields[1]);
+    EXPECT_NEAR(std::stod(fields[14]), -100.0 * x_m, 1e-7);
+    const std::uint64_t sequence = std::stoull(fields[2]);
     EXPECT_GT(sequence, last_sequence);
     last_sequence = sequence;
   }
-  EXPECT_EQ(lines, summary["forces_received"]);
+  EXPECT_EQ(lines, driver["forces_received"]);
 
   const std::string plot = read("plot.svg");
   EXPECT_THAT(plot, HasSubstr("<svg"));
   EXPECT_THAT(plot, HasSubstr("</svg>"));
   EXPECT_EQ(plot.find("nan"), std::string::npos);
+}
+
+/// All poses of a session as they leave, by tool.
+class PoseWatcher {
+ public:
+  PoseWatcher() {
+    EndpointCallbacks callbacks;
+    callbacks.data_available = [this] {
+      if (!ready_) return;
+      v1::ToolPose pose;
+      SampleInfo info;
+      while (reader_.take(pose, info)) {
+        if (!info.valid || (pose.flags & suture_v1_POSE_GOODBYE) != 0) continue;
+        const std::lock_guard lock(mutex_);
+        poses_[pose.tool_id].push_back(pose);
+      }
+    };
+    reader_ = Reader<v1::ToolPose>(participant_, std::move(callbacks));
+    ready_ = true;
+  }
+  std::vector<v1::ToolPose> of(const std::string& tool) {
+    const std::lock_guard lock(mutex_);
+    return poses_[tool_id(tool)];
+  }
+
+ private:
+  Participant participant_{own_session(), Channel::kControl};
+  std::atomic<bool> ready_{false};
+  std::mutex mutex_;
+  std::map<std::uint64_t, std::vector<v1::ToolPose>> poses_;
+  Reader<v1::ToolPose> reader_;
+};
+
+/// When a hand that goes along x at `speed_m_per_s` from 0 has set out: the median over its
+/// poses, so that a tick that was held up does not count.
+double started_s(const std::vector<v1::ToolPose>& poses, double speed_m_per_s) {
+  std::vector<double> starts;
+  for (const v1::ToolPose& pose : poses) {
+    if (pose.position_m[0] <= 0.0) continue;
+    starts.push_back(1e-9 * static_cast<double>(pose.stamp_ns) -
+                     pose.position_m[0] / speed_m_per_s);
+  }
+  const auto middle = starts.begin() + static_cast<std::ptrdiff_t>(starts.size() / 2);
+  std::nth_element(starts.begin(), middle, starts.end());
+  return starts.empty() ? 0.0 : *middle;
+}
+
+TEST_F(Cli, DevicePlaysEveryToolOfAFileOnOneClock) {
+  SpringServer server(two_tools());
+  PoseWatcher poses;
+  Process device(command({"device", "--surgeon", two_hands(), "--log", path("log.csv"), "--plot",
+                          path("plot.svg"), "--summary", path("summary.json")}));
+  ASSERT_EQ(device.wait(), 0) << device.output();
+  EXPECT_EQ(server.goodbyes(), 2);
+  EXPECT_THAT(device.output(), HasSubstr("tools driver, assistant"));
+
+  const double driver_s = started_s(poses.of("driver"), 0.04);
+  const double assistant_s = started_s(poses.of("assistant"), 0.02);
+  EXPECT_NEAR(driver_s, assistant_s, 1e-3);  // a period
+
+  const nlohmann::json summary = nlohmann::json::parse(read("summary.json"));
+  EXPECT_NEAR(summary["tools"]["driver"]["peak_force_n"], 2.0, 0.05);
+  EXPECT_NEAR(summary["tools"]["assistant"]["peak_force_n"], 1.281, 0.05);  // 8 and 10 mm
+  std::map<std::string, int> lines;
+  std::istringstream log(read("log.csv"));
+  std::string line;
+  std::getline(log, line);
+  while (std::getline(log, line)) {
+    const std::vector<std::string> fields = fields_of(line);
+    ASSERT_EQ(fields.size(), 22U) << line;
+    ++lines[fields[1]];
+    const double speed_m_per_s = fields[1] == "driver" ? 0.04 : 0.02;
+    EXPECT_NEAR(std::stod(fields[6]), speed_m_per_s * std::stod(fields[0]), 1e-7);
+  }
+  for (const char* tool : {"driver", "assistant"}) {
+    EXPECT_EQ(lines[tool], summary["tools"][tool]["forces_received"]) << tool;
+    EXPECT_THAT(read("plot.svg"), HasSubstr(std::string(">") + tool + "</text>"));
+  }
+}
+
+TEST_F(Cli, DeviceHoldsEveryToolUntilAllAreAnswered) {
+  SpringServer server(two_tools());
+  server.set_silent_for("assistant");
+  PoseWatcher poses;
+  Process device(command({"device", "--surgeon", two_hands(), "--quiet"}));
+  ASSERT_TRUE(eventually([&] { return poses.of("driver").size() > 100; }));
+  for (const v1::ToolPose& pose : poses.of("driver")) ASSERT_EQ(pose.position_m[0], 0.0);
+  server.set_silent_for("");
+  EXPECT_EQ(device.wait(), 0) << device.output();
+  EXPECT_NEAR(poses.of("driver").back().position_m[0], 0.02, 1e-3);
+}
+
+TEST_F(Cli, AFaultOfOneToolEndsAllWithItsName) {
+  SpringServer server(two_tools());
+  Process device(command({"device", "--surgeon", two_hands(), "--loop"}));
+  device.read_until("rendering");
+  server.give_away("assistant");
+  EXPECT_EQ(device.wait(), 5) << device.output();
+  EXPECT_THAT(device.output(), HasSubstr("another device holds the tool \"assistant\""));
+  EXPECT_TRUE(eventually([&] { return server.goodbyes() == 2; }));
+}
+
+TEST_F(Cli, ASilentToolOfSeveralIsNamed) {
+  SpringServer server(two_tools());
+  server.set_silent_for("assistant");
+  Process device(command({"device", "--surgeon", two_hands()}));
+  EXPECT_EQ(device.wait(), 3) << device.output();
+  EXPECT_THAT(device.output(), HasSubstr("tool \"assistant\": the server has not answered"));
+}
+
+TEST_F(Cli, DeviceTakesTheToolsThatAreNamed) {
+  SpringServer server(two_tools());
+  PoseWatcher poses;
+  Process device(command({"device", "--tool", "assistant", "--surgeon", two_hands()}));
+  EXPECT_EQ(device.wait(), 0) << device.output();
+  EXPECT_TRUE(poses.of("driver").empty());
+  EXPECT_FALSE(poses.of("assistant").empty());
+  Process twice(command({"device", "--tool", "driver", "--tool", "assistant", "--tool", "driver",
+                         "--surgeon", two_hands()}));
+  EXPECT_EQ(twice.wait(), 2);
+  EXPECT_THAT(twice.output(), HasSubstr("--tool driver stands there twice"));
 }
 
 TEST_F(Cli, DeviceEndsItsLoopWithASummaryWhenInterrupted) {

@@ -25,6 +25,7 @@
 #include "support/test_session.hpp"
 #include "suture/device.hpp"
 #include "suture/session.hpp"
+#include "suture/viewer.hpp"
 
 namespace sutured {
 namespace {
@@ -555,6 +556,110 @@ TEST_F(Serve, ObeysPauseResumeStopAndReset) {
     EXPECT_TRUE(saw_event(kind)) << kind;
   expect_within_limits(watcher_.all());
   EXPECT_THROW(session.command(suture::CommandKind::kReleaseTool, "spoon"), suture::Error);
+}
+
+TEST_F(Serve, ShowsThreadsContactsAndWhatAJawHolds) {
+  std::ofstream(scene_, std::ios::app) << R"(
+[[needle]]
+name = "needle"
+pose = { position_m = [0.01, 0.01, 0.06], orientation = [0, 0, 0, 1] }
+[[thread]]
+name = "thread"
+needle = "needle"
+tail = "free"
+[[tool]]
+name = "forceps"
+)";
+  start_server();
+  std::mutex mutex;
+  std::string thread, holding;
+  std::uint64_t contacts_step = 0, contacts = 0;
+  suture::ViewerCallbacks callbacks;
+  callbacks.on_thread = [&](const suture::ThreadView& view) {
+    const std::lock_guard lock(mutex);
+    thread = view.thread;
+  };
+  callbacks.on_contacts = [&](const suture::ContactsView& view) {
+    const std::lock_guard lock(mutex);
+    ++contacts;
+    contacts_step = view.step;
+  };
+  callbacks.on_tool = [&](const suture::ToolView& view) {
+    const std::lock_guard lock(mutex);
+    if (view.tool == "forceps") holding = view.holding;
+  };
+  suture::SessionOptions options;
+  options.domain = session_.domain;
+  options.session = session_.session;
+  options.timeout = std::chrono::seconds(20);
+  suture::Viewer viewer(options, callbacks);
+  RawDevice forceps(session_, "forceps");
+  forceps.move_to(0.011, 0.009, kSurface_m);
+  const auto holds = [&](const std::string& what) {
+    return eventually([&] {
+      const std::lock_guard lock(mutex);
+      return holding == what && thread == "thread" && contacts > 1 && contacts_step > 0;
+    });
+  };
+  EXPECT_TRUE(holds(""));
+  forceps.spoil([](suture::v1::ToolPose& pose) { pose.jaw = 1.0F; });  // it closes
+  EXPECT_TRUE(holds("block"));
+  forceps.spoil(nullptr);
+  EXPECT_TRUE(holds(""));
+  viewer.close();
+}
+
+TEST_F(Serve, TellsTheQualityOfASutureWhenAFigureChanges) {
+  std::ofstream(scene_, std::ios::app) << R"(
+[[needle]]
+name = "needle"
+shape = "straight"
+pose = { position_m = [0.01, 0.01, 0.06], orientation = [0, 0, 0, 1] }
+[[thread]]
+name = "thread"
+needle = "needle"
+tail = "free"
+[[tool]]
+name = "forceps"
+)";
+  start_server();
+  RawDevice forceps(session_, "forceps");
+  forceps.move_to(0.02, 0.01, 0.06);  // at the needle, in the air
+  struct Told {
+    double path_m, gap_m;
+    std::uint32_t drops;
+    std::int64_t stamp_ns;
+  };
+  std::mutex mutex;
+  std::vector<Told> told;
+  suture::ViewerCallbacks callbacks;
+  callbacks.on_quality = [&](const suture::QualityView& view) {
+    const std::lock_guard lock(mutex);
+    EXPECT_EQ(view.thread, "thread");
+    told.push_back({view.needle_path_m, view.gap_m, view.needle_drops, view.stamp_ns});
+  };
+  suture::SessionOptions options;
+  options.domain = session_.domain;
+  options.session = session_.session;
+  options.timeout = std::chrono::seconds(20);
+  suture::Viewer viewer(options, callbacks);
+  const auto tells = [&](auto&& what) {
+    return eventually([&] {
+      const std::lock_guard lock(mutex);
+      return !told.empty() && what(told.back());
+    });
+  };
+  ASSERT_TRUE(tells([](const Told& q) { return q.path_m == 0.0 && q.drops == 0; }));
+  forceps.spoil([](suture::v1::ToolPose& pose) { pose.jaw = 1.0F; });
+  ASSERT_TRUE(saw_event(suture_v1_EVENT_GRASP));
+  forceps.move_to(0.02, 0.01, 0.061);
+  ASSERT_TRUE(tells([](const Told& q) { return q.path_m > 0.9e-3 && q.drops == 0; }));
+  forceps.spoil(nullptr);  // the jaw opens
+  ASSERT_TRUE(tells([](const Told& q) { return q.drops > 0; })) << server_->output();
+  viewer.close();
+  EXPECT_TRUE(std::isnan(told.back().gap_m));    // the scene has no wound
+  for (std::size_t i = 1; i < told.size(); ++i)  // the stamp may come late after the decision
+    EXPECT_GE(told[i].stamp_ns - told[i - 1].stamp_ns, 450 * kMs);
 }
 
 }  // namespace

@@ -40,7 +40,8 @@ TEST(ForcePlot, ShowsTitleAxesMarksAndCurve) {
   ForceTrace trace;
   for (int i = 0; i <= 100; ++i) trace.add(0.1 * i, 0.02 * i);
   const PlotMark mark{5.0, "puncture <wall>"};
-  const std::string svg = force_plot_svg(trace, {&mark, 1}, "a & b");
+  const PlotCurve curve{"driver", &trace};
+  const std::string svg = force_plot_svg({&curve, 1}, {&mark, 1}, "a & b");
   EXPECT_THAT(svg, HasSubstr("a &amp; b"));
   EXPECT_THAT(svg, HasSubstr("puncture &lt;wall&gt;"));
   EXPECT_THAT(svg, HasSubstr("time (s)"));
@@ -54,7 +55,8 @@ TEST(ForcePlot, LabelsNoMarkOverTheLabelOfTheLast) {
   ForceTrace trace;
   for (int i = 0; i <= 100; ++i) trace.add(0.6 * i, 0.02 * i);
   const std::array<PlotMark, 3> marks{{{5.0, "first"}, {5.1, "at once"}, {7.0, "later"}}};
-  const std::string svg = force_plot_svg(trace, marks, "many");
+  const PlotCurve curve{"driver", &trace};
+  const std::string svg = force_plot_svg({&curve, 1}, marks, "many");
   EXPECT_THAT(svg, HasSubstr("first"));
   EXPECT_EQ(svg.find("at once"), std::string::npos);
   EXPECT_THAT(svg, HasSubstr("later"));
@@ -64,15 +66,49 @@ TEST(ForcePlot, TakesNothingAndZeroForces) {
   for (const bool some : {false, true}) {
     ForceTrace trace;
     if (some) trace.add(0.0, 0.0);
-    const std::string svg = force_plot_svg(trace, {}, "still");
+    const PlotCurve curve{"driver", &trace};
+    const std::string svg = force_plot_svg({&curve, 1}, {}, "still");
     EXPECT_THAT(svg, HasSubstr("</svg>"));
     EXPECT_EQ(svg.find("nan"), std::string::npos);
     EXPECT_EQ(svg.find("inf"), std::string::npos);
   }
 }
 
+TEST(ForcePlot, CoversAndNamesEveryCurve) {
+  ForceTrace early, late;
+  for (int i = 0; i <= 100; ++i) early.add(0.01 * i, 0.3);
+  for (int i = 0; i <= 100; ++i) late.add(1.0 + 0.04 * i, 0.02 * i);
+  const std::array<PlotCurve, 2> curves{{{"driver", &early}, {"as<sistant", &late}}};
+  const std::string svg = force_plot_svg(curves, {}, "two");
+  EXPECT_THAT(svg, HasSubstr(">driver</text>"));
+  EXPECT_THAT(svg, HasSubstr(">as&lt;sistant</text>"));
+  EXPECT_THAT(svg, HasSubstr(">0</text>"));  // the beginning of one
+  EXPECT_THAT(svg, HasSubstr(">5</text>"));  // and the end of the other
+  EXPECT_THAT(svg, HasSubstr(">2</text>"));  // the higher peak
+}
+
+TEST(ForceLog, KeepsTheForcesOfToolsApart) {
+  const std::array<std::string, 2> tools{"driver", "assistant"};
+  ForceLog log("", tools);
+  ForceRecord record;
+  for (int i = 0; i < 100; ++i) {
+    record.time_s = 0.01 * i;
+    record.force.force_n = {1.0, 0.0, 0.0};
+    log.push(0, record);
+    record.force.force_n = {0.0, 2.0, 0.0};
+    if (i % 2 == 0) log.push(1, record);
+  }
+  log.finish();
+  EXPECT_EQ(log.dropped(), 0U);
+  EXPECT_EQ(log.trace(0).size(), 100U);
+  EXPECT_EQ(log.trace(1).size(), 50U);
+  EXPECT_EQ(log.trace(0).begin()->max_n, 1.0);
+  EXPECT_EQ(log.trace(1).begin()->max_n, 2.0);
+}
+
 TEST(ForceLog, RefusesAFileThatCannotBeWritten) {
-  EXPECT_THROW(ForceLog("/no/such/folder/log.csv"), Error);
+  const std::string tool = "driver";
+  EXPECT_THROW(ForceLog("/no/such/folder/log.csv", {&tool, 1}), Error);
 }
 
 }  // namespace

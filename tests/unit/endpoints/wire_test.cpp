@@ -3,8 +3,11 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <limits>
 #include <memory>
+#include <string>
+#include <vector>
 
 namespace sutured::endpoints {
 namespace {
@@ -101,6 +104,153 @@ TEST(SetEvent, NamesEveryKindOfTheSimulation) {
     EXPECT_EQ(wire.value, 0.05);
     EXPECT_EQ(suture::text_of(wire.unit), kind == EventKind::kInverted ? "tets" : "N");
   }
+}
+
+scene::Scene named_scene() {
+  scene::Scene scene;
+  scene.tissues.resize(2);
+  scene.tissues[0].name = "proximal";
+  scene.tissues[1].name = "distal";
+  scene.needles.resize(1);
+  scene.needles[0].name = "needle";
+  scene.tools.resize(2);
+  scene.tools[0].name = "driver";
+  scene.tools[1].name = "assistant";
+  scene.threads.resize(1);
+  scene.threads[0].name = "thread";
+  scene.threads[0].diameter_m = 0.0002;
+  return scene;
+}
+
+TEST(HeldName, ResolvesEveryKindInItsOwnList) {
+  using simulation::HeldKind;
+  const scene::Scene scene = named_scene();
+  EXPECT_EQ(held_name(scene, {}), "");
+  EXPECT_EQ(held_name(scene, {HeldKind::kNeedle, 0}), "needle");
+  EXPECT_EQ(held_name(scene, {HeldKind::kTissue, 1}), "distal");
+  EXPECT_EQ(held_name(scene, {HeldKind::kThread, 0}), "thread");
+  EXPECT_EQ(held_name(scene, {HeldKind::kThread, 7}), "");  // no such: no name, and no crash
+}
+
+TEST(SetThread, NamesTheHolderOfEachEndByItsKind) {
+  using simulation::ThreadEnd;
+  const scene::Scene scene = named_scene();
+  simulation::ThreadState state;
+  std::vector<suture::v1::Puncture> punctures;
+  const auto holder = [&](ThreadEnd end, int index) {
+    state.head = end;
+    state.head_holder = index;
+    suture::v1::ThreadState wire{};
+    set_thread(wire, scene, 0, state, punctures);
+    EXPECT_EQ(static_cast<int>(wire.head), static_cast<int>(end));
+    return std::string(suture::text_of(wire.head_holder));
+  };
+  EXPECT_EQ(holder(ThreadEnd::kFree, -1), "");
+  EXPECT_EQ(holder(ThreadEnd::kHeld, 1), "assistant");
+  EXPECT_EQ(holder(ThreadEnd::kSwaged, 0), "needle");
+  EXPECT_EQ(holder(ThreadEnd::kAnchored, 1), "distal");
+}
+
+TEST(SetThread, LendsTheCourseAndKeepsEveryFigure) {
+  simulation::ThreadState state;
+  state.length_m = 0.45;
+  state.tension_n = 0.2;
+  state.slack_m = 0.01;
+  state.taut = true;
+  state.tail = simulation::ThreadEnd::kAnchored;
+  state.tail_holder = 0;
+  state.course_m = {{1, 2, 3}, {4, 5, 6}};
+  state.arc_length_m = {0.0, 0.3};
+  state.segment_tension_n = {0.2};
+  state.punctures = {{1, {7, 8, 9}, {0, 0, 0}, 0.1, true}};
+  std::vector<suture::v1::Puncture> punctures(5);  // of the thread before
+  suture::v1::ThreadState wire{};
+  set_thread(wire, named_scene(), 0, state, punctures);
+  EXPECT_EQ(suture::text_of(wire.thread), "thread");
+  EXPECT_EQ(wire.length_m, 0.45);
+  EXPECT_EQ(wire.diameter_m, 0.0002);
+  EXPECT_EQ(wire.tension_n, 0.2);
+  EXPECT_EQ(wire.slack_m, 0.01);
+  EXPECT_TRUE(wire.taut);
+  EXPECT_EQ(suture::text_of(wire.tail_holder), "proximal");
+  ASSERT_EQ(wire.course_m._length, 6U);
+  for (int i = 0; i < 6; ++i) EXPECT_EQ(wire.course_m._buffer[i], i + 1);
+  ASSERT_EQ(wire.arc_length_m._length, 2U);
+  EXPECT_EQ(wire.arc_length_m._buffer[1], 0.3);
+  ASSERT_EQ(wire.segment_tension_n._length, 1U);
+  ASSERT_EQ(wire.punctures._length, 1U);
+  EXPECT_EQ(suture::text_of(wire.punctures._buffer[0].body), "distal");
+  EXPECT_EQ(wire.punctures._buffer[0].position_m[2], 9.0);
+  EXPECT_EQ(wire.punctures._buffer[0].arc_length_m, 0.1);
+  EXPECT_TRUE(wire.punctures._buffer[0].inward);
+}
+
+TEST(SetContacts, NamesBothSides) {
+  std::vector<simulation::ContactPoint> contacts(2);
+  contacts[0].tissue = 0;
+  contacts[0].other_tissue = 1;
+  contacts[0].position_m = {1, 2, 3};
+  contacts[0].force_n = 0.4;
+  contacts[0].gap_m = -1e-7;
+  contacts[1].tissue = 1;
+  contacts[1].needle = 0;
+  std::vector<suture::v1::ContactPoint> points(3);
+  suture::v1::ContactState wire{};
+  set_contacts(wire, named_scene(), contacts, points);
+  ASSERT_EQ(wire.points._length, 2U);
+  const auto got = suture::span_of(wire.points);
+  EXPECT_EQ(suture::text_of(got[0].body), "proximal");
+  EXPECT_EQ(suture::text_of(got[0].other), "distal");
+  EXPECT_EQ(got[0].position_m[1], 2.0);
+  EXPECT_EQ(got[0].normal[2], 1.0);
+  EXPECT_EQ(got[0].force_n, 0.4);
+  EXPECT_EQ(got[0].gap_m, -1e-7);
+  EXPECT_EQ(suture::text_of(got[1].body), "distal");
+  EXPECT_EQ(suture::text_of(got[1].other), "needle");
+  set_contacts(wire, named_scene(), {}, points);
+  EXPECT_EQ(wire.points._length, 0U);
+}
+
+TEST(SetQuality, KeepsEveryFigure) {
+  simulation::ThreadQuality quality;
+  quality.elapsed_s = 1;
+  quality.needle_path_m = 2;
+  quality.peak_force_n = 3;
+  quality.peak_principal_stress_pa = 4;
+  quality.gap_start = {0.5, 5};
+  quality.gap = {0.6, 6};
+  quality.tension_n = 7;
+  quality.depth_m = {8, 9};
+  quality.spacing_m = {10, 11};
+  quality.handovers = 12;
+  quality.needle_drops = 13;
+  quality.bites = {{1, {1, 2, 3}, {4, 5, 6}, 14, 15, simulation::kNoFigure, 16}};
+  std::vector<suture::v1::Bite> bites(3);
+  suture::v1::Quality wire{};
+  set_quality(wire, named_scene(), 0, quality, bites);
+  EXPECT_EQ(suture::text_of(wire.thread), "thread");
+  EXPECT_EQ(wire.elapsed_s, 1);
+  EXPECT_EQ(wire.needle_path_m, 2);
+  EXPECT_EQ(wire.peak_force_n, 3);
+  EXPECT_EQ(wire.peak_principal_stress_pa, 4);
+  EXPECT_EQ(wire.gap_start_m, 5);  // the largest
+  EXPECT_EQ(wire.gap_m, 6);
+  EXPECT_EQ(wire.tension_n, 7);
+  EXPECT_EQ(wire.bite_depth_mean_m, 8);
+  EXPECT_EQ(wire.bite_depth_spread_m, 9);
+  EXPECT_EQ(wire.bite_spacing_mean_m, 10);
+  EXPECT_EQ(wire.bite_spacing_spread_m, 11);
+  EXPECT_EQ(wire.handovers, 12U);
+  EXPECT_EQ(wire.needle_drops, 13U);
+  ASSERT_EQ(wire.bites._length, 1U);
+  const suture::v1::Bite& bite = wire.bites._buffer[0];
+  EXPECT_EQ(suture::text_of(bite.body), "distal");
+  EXPECT_EQ(bite.entry_m[2], 3);
+  EXPECT_EQ(bite.exit_m[0], 4);
+  EXPECT_EQ(bite.depth_m, 14);
+  EXPECT_EQ(bite.edge_distance_m, 15);
+  EXPECT_TRUE(std::isnan(bite.spacing_m));
+  EXPECT_EQ(bite.peak_force_n, 16);
 }
 
 }  // namespace

@@ -96,6 +96,21 @@ TEST_F(BlockSimulation, NothingIsFeltWhereNothingIsTouched) {
   EXPECT_EQ(reaction().norm(), 0.0);
 }
 
+TEST_F(BlockSimulation, AResponseSaysWhatTheJawHolds) {
+  step();
+  for (int tool = 0; tool < kBlockTools; ++tool)
+    EXPECT_EQ(sim.responses()[at(tool)].held.kind, HeldKind::kNothing);
+  grasp(kDriver, kTail);
+  grasp(kAssistant, Vec3(-0.005, -0.005, 0.0));  // a point of the surface
+  EXPECT_EQ(sim.responses()[kDriver].held.kind, HeldKind::kNeedle);
+  EXPECT_EQ(sim.responses()[kDriver].held.index, 0);
+  EXPECT_EQ(sim.responses()[kAssistant].held.kind, HeldKind::kTissue);
+  EXPECT_EQ(sim.responses()[kAssistant].held.index, 0);
+  inputs[kAssistant].jaw = 0.0;
+  step();
+  EXPECT_EQ(sim.responses()[kAssistant].held.kind, HeldKind::kNothing);
+}
+
 TEST_F(BlockSimulation, AProbeIsPushedBackAndNeverPulled) {
   inputs[kProbe] = tool_at(Vec3(0.0031, 0.0013, 0.004));
   step();

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <map>
 #include <random>
 #include <set>
 #include <stdexcept>
@@ -195,7 +194,7 @@ TEST(Penetration, AgreesWithTryingEverything) {
   std::mt19937_64 random(23);
   std::normal_distribution<double> normal;
   int inside = 0;
-  for (int trial = 0; trial < 6; ++trial) {
+  for (int trial = 0; trial < 4; ++trial) {
     TubeShape shape{0.7, 1.0, -0.2, 0.2, 12, 2, 2};
     Bodies bodies;
     for (int ring = 0; ring < 2; ++ring) {
@@ -239,7 +238,7 @@ TEST(Penetration, AgreesWithTryingEverything) {
     std::set<std::pair<std::int32_t, std::int32_t>> edges;
     for (const auto& t : surface.triangles)
       for (std::size_t i = 0; i < 3; ++i) edges.insert(std::minmax(t[i], t[(i + 1) % 3]));
-    constexpr int kPoints = 40;
+    constexpr int kPoints = 25;
     double spacing_m = 0.0;
     for (const auto& [a, b] : edges) {
       const Vec3 &p = bodies.x[static_cast<std::size_t>(a)],
@@ -262,7 +261,7 @@ TEST(Penetration, AgreesWithTryingEverything) {
     EXPECT_LE(found.edge_depth_m, expected.edge_depth_m + spacing_m / 2);
     inside += found.vertices;
   }
-  EXPECT_GT(inside, 20);
+  EXPECT_GT(inside, 10) << "too little overlap for this test to mean anything";
 }
 
 }  // namespace

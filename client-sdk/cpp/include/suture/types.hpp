@@ -169,7 +169,19 @@ struct NeedleView {
   std::vector<Puncture> punctures;
 };
 
-/// A thread, in the world. `course_m` holds 3 numbers a point from head to tail.
+/// What rules an end of a thread.
+enum class ThreadEnd {
+  kFree,
+  kSwaged,    ///< crimped into a needle
+  kHeld,      ///< in a tool's jaw
+  kAnchored,  ///< knotted to a body
+};
+
+/// Returns a word for `end`, such as "swaged".
+__attribute__((visibility("default"))) const char* name_of(ThreadEnd end) noexcept;
+
+/// A thread, in the world. `course_m` holds 3 numbers a point from head to tail; the head is
+/// where the needle is, or was.
 struct ThreadView {
   std::string_view thread;
   std::uint64_t epoch = 0;
@@ -179,9 +191,64 @@ struct ThreadView {
   double tension_n = 0.0;
   double slack_m = 0.0;
   bool taut = false;
+  ThreadEnd head = ThreadEnd::kFree;
+  ThreadEnd tail = ThreadEnd::kFree;
+  std::string_view head_holder;  ///< tool, needle or body; empty for a free end
+  std::string_view tail_holder;
   std::span<const double> course_m;
-  std::span<const double> segment_tension_n;
+  std::span<const double> arc_length_m;       ///< per point of the course, from the head
+  std::span<const double> segment_tension_n;  ///< per pair of neighbours
   std::vector<Puncture> punctures;
+};
+
+/// A pair in contact: of two bodies, or of a needle's shaft and a body.
+struct ContactPoint {
+  Vector3 position_m{};
+  Vector3 normal{};  ///< unit, out of `body`
+  double force_n = 0.0;
+  double gap_m = 0.0;
+  std::string_view body;
+  std::string_view other;  ///< body, tool or needle
+};
+
+/// All pairs that carry force in one step, in the world; none is an empty list.
+struct ContactsView {
+  std::uint64_t epoch = 0;
+  std::int64_t stamp_ns = 0;
+  std::uint64_t step = 0;
+  std::vector<ContactPoint> points;
+};
+
+/// One passage of a thread through a body, in the world at rest.
+struct Bite {
+  std::string_view body;
+  Vector3 entry_m{};  ///< where the needle went in
+  Vector3 exit_m{};
+  double depth_m = 0.0;          ///< largest distance of its course from the surface
+  double edge_distance_m = 0.0;  ///< from the wound's edge; NaN: the scene has no wound
+  double spacing_m = 0.0;        ///< to the bite before in the same body; NaN: it is the first
+  double peak_force_n = 0.0;     ///< NaN: the scene began with it
+};
+
+/// How well somebody sews with one thread. What is not known is NaN.
+struct QualityView {
+  std::string_view thread;
+  std::uint64_t epoch = 0;
+  std::int64_t stamp_ns = 0;
+  double elapsed_s = 0.0;
+  double needle_path_m = 0.0;  ///< length of the way of the needle's tip
+  double peak_force_n = 0.0;   ///< on tissue
+  double peak_principal_stress_pa = 0.0;
+  double gap_start_m = 0.0;  ///< largest, between the wound's edges
+  double gap_m = 0.0;
+  double tension_n = 0.0;
+  double bite_depth_mean_m = 0.0;
+  double bite_depth_spread_m = 0.0;  ///< standard deviation
+  double bite_spacing_mean_m = 0.0;
+  double bite_spacing_spread_m = 0.0;
+  std::uint32_t handovers = 0;
+  std::uint32_t needle_drops = 0;
+  std::vector<Bite> bites;
 };
 
 /// Something that happened. `kind` is a lower-case word such as "puncture".

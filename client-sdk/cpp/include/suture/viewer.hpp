@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Eyes on a session: meshes, needles, threads, tools, events and status.
+// Eyes on a session: meshes, needles, threads, contacts, tools, events and status.
 #pragma once
 
 #include <chrono>
@@ -29,7 +29,9 @@ struct ViewerCallbacks {
   std::function<void(const ToolView&)> on_tool;
   std::function<void(const NeedleView&)> on_needle;
   std::function<void(const ThreadView&)> on_thread;
-  std::function<void(const Event&)> on_event;  ///< the last 1000 first
+  std::function<void(const ContactsView&)> on_contacts;
+  std::function<void(const QualityView&)> on_quality;  ///< when a figure changes
+  std::function<void(const Event&)> on_event;          ///< the last 1000 first
   std::function<void(const Status&)> on_status;
 };
 

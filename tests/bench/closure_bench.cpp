@@ -1,0 +1,145 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The paper's closure with contact, on four meshes: what a step costs while the rims meet, and once
+// they rest on each other.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+
+#include "bench/figures.hpp"
+#include "simulation/simulation.hpp"
+#include "support/closure_scene.hpp"
+
+namespace sutured::bench {
+namespace {
+
+constexpr double kStep_s = 1.0 / 250.0;
+/// Steps before the end of the pull in which surfaces meet, and steps of rest.
+constexpr int kMeeting = 20, kAtRest = 40, kSettling = 20;
+
+enum Stage { kContact, kAssemble, kSolve, kModel, kBackward, kTrack, kStages };
+constexpr std::array<const char*, kStages> kStageNames{"contact", "assemble", "solve",
+                                                       "model",   "backward", "track"};
+
+/// Times of one phase, ms.
+struct Phase {
+  std::vector<double> forces_ms, displacements_ms, step_ms;
+};
+
+struct Case {
+  std::map<std::string, Phase> phases;  ///< "moving", "settled"
+  std::array<double, kStages> stage_ns{};
+  std::vector<double> rows, active;  ///< settled
+  std::size_t vertices = 0;
+};
+
+Case play(testing::ClosureMesh mesh, int punctures) {
+  testing::ClosureOptions options;
+  options.mesh = mesh;
+  options.punctures = punctures;
+  options.shortening_m = testing::closing_shortening_m(punctures);
+  const testing::Closure closure = testing::closure_scene(options);
+  simulation::Simulation sim(closure.scene);
+  Case out;
+  out.vertices = sim.rest_positions_m().size();
+  const int pulling = static_cast<int>(std::ceil(closure.closed_at_s / kStep_s));
+  for (int step = 1; step <= pulling + kSettling + kAtRest; ++step) {
+    // Displacements are brought up after each step, so that the next one owes nothing for them.
+    const double forces_us = time_us([&] { sim.step({}, kStep_s); });
+    const simulation::StepReport& report = sim.report();
+    const double displacements_us = time_us([&] { sim.update_displacements(); });
+    const bool moving = step > pulling - kMeeting && step <= pulling;
+    const bool settled = step > pulling + kSettling;
+    if (!moving && !settled) continue;
+    Phase& phase = out.phases[moving ? "moving" : "settled"];
+    phase.forces_ms.push_back(1e-3 * forces_us);
+    phase.displacements_ms.push_back(1e-3 * displacements_us);
+    phase.step_ms.push_back(1e-3 * (forces_us + displacements_us));
+    const std::array<std::int64_t, kStages> stages{report.contact_ns,  report.assemble_ns,
+                                                   report.solve_ns,    report.model_ns,
+                                                   report.backward_ns, report.track_ns};
+    for (std::size_t i = 0; i < kStages; ++i) out.stage_ns[i] += static_cast<double>(stages[i]);
+    if (!settled) continue;
+    out.rows.push_back(report.rows);
+    out.active.push_back(report.active_unilateral_rows);
+  }
+  return out;
+}
+
+/// Returns the median of the run in which it was lowest: what else the machine does can only add.
+template <typename Times>
+double best_median(std::vector<Case>& plays, const char* phase, Times&& times) {
+  double best = INFINITY;
+  for (Case& play : plays) best = std::min(best, quantile(times(play.phases[phase]), 0.5));
+  return best;
+}
+
+/// Adds the figures of one case; returns the median step at rest, ms.
+double measure_case(Figures& figures, testing::ClosureMesh mesh, int punctures, int repeats,
+                    std::optional<double> step_budget, std::optional<double> forces_budget,
+                    std::optional<double> displacements_budget) {
+  std::vector<Case> plays;
+  for (int i = 0; i < repeats; ++i) plays.push_back(play(mesh, punctures));
+  const std::string name = "p" + std::to_string(punctures) + "." + testing::name_of(mesh);
+  const auto step = [](Phase& phase) -> std::vector<double>& { return phase.step_ms; };
+  const auto forces = [](Phase& phase) -> std::vector<double>& { return phase.forces_ms; };
+  const auto displacements = [](Phase& phase) -> std::vector<double>& {
+    return phase.displacements_ms;
+  };
+  std::vector<double> all, all_forces;
+  for (Case& one : plays)
+    for (auto& [_, phase] : one.phases) {
+      all.insert(all.end(), phase.step_ms.begin(), phase.step_ms.end());
+      all_forces.insert(all_forces.end(), phase.forces_ms.begin(), phase.forces_ms.end());
+    }
+  // A budget is for the worse of both phases.
+  const auto worse = [&](auto&& times) {
+    return std::max(best_median(plays, "moving", times), best_median(plays, "settled", times));
+  };
+  figures.add("step_ms." + name + ".p50", worse(step), "ms", step_budget);
+  figures.add("step_ms." + name + ".moving.p50", best_median(plays, "moving", step), "ms");
+  figures.add("step_ms." + name + ".settled.p50", best_median(plays, "settled", step), "ms");
+  figures.add("step_ms." + name + ".p99", quantile(all, 0.99), "ms");
+  figures.add("step_ms." + name + ".forces.p50", worse(forces), "ms", forces_budget);
+  figures.add("step_ms." + name + ".forces.settled.p50", best_median(plays, "settled", forces),
+              "ms");
+  figures.add("step_ms." + name + ".forces.p99", quantile(all_forces, 0.99), "ms");
+  figures.add("step_ms." + name + ".displacements.p50", worse(displacements), "ms",
+              displacements_budget);
+  double total = 0.0;
+  std::array<double, kStages> stage_ns{};
+  for (const Case& one : plays)
+    for (std::size_t i = 0; i < kStages; ++i) {
+      total += one.stage_ns[i];
+      stage_ns[i] += one.stage_ns[i];
+    }
+  for (std::size_t i = 0; i < kStages; ++i)
+    figures.add(std::string("step_share.") + name + "." + kStageNames[i],
+                100.0 * stage_ns[i] / total, "%");
+  figures.add("step_rows." + name + ".settled.p50", quantile(plays[0].rows, 0.5), "");
+  figures.add("step_active_rows." + name + ".settled.p50", quantile(plays[0].active, 0.5), "");
+  return best_median(plays, "settled", step);
+}
+
+}  // namespace
+
+void measure_closure(Figures& figures) {
+  using testing::ClosureMesh;
+  const auto none = std::nullopt;
+  measure_case(figures, ClosureMesh::k1k6, 20, 5, 1.0, none, none);
+  std::vector<std::pair<double, double>> growth;  // logs of vertices and step
+  const auto add = [&](double vertices, double step_ms) {
+    growth.emplace_back(std::log(vertices), std::log(step_ms));
+  };
+  add(1620, measure_case(figures, ClosureMesh::k1k6, 50, 5, 1.0, none, none));
+  add(5760, measure_case(figures, ClosureMesh::k6k, 50, 3, none, none, none));
+  add(23760, measure_case(figures, ClosureMesh::k24k, 50, 2, none, 16.0, 16.0));
+  add(52800, measure_case(figures, ClosureMesh::k53k, 50, 1, none, 16.0, 33.0));
+  double x = 0.0, y = 0.0, xx = 0.0, xy = 0.0;
+  const auto n = static_cast<double>(growth.size());
+  for (const auto& [v, t] : growth) x += v / n, y += t / n;
+  for (const auto& [v, t] : growth) xx += (v - x) * (v - x), xy += (v - x) * (t - y);
+  figures.add("step_growth.p50", xy / xx, "");
+}
+
+}  // namespace sutured::bench
