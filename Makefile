@@ -72,6 +72,12 @@ test: deps-test ## Build and run every test
 	@cmake --build --preset dev
 	@ctest --preset dev --progress
 
+.PHONY: soak
+soak: deps-test ## Play 1000 random surgeons and check every step
+	@cmake --preset dev >/dev/null
+	@cmake --build --preset dev --target sutured_surgeons
+	@build/dev/tests/soak/sutured_surgeons --count 1000
+
 .PHONY: bench
 bench: deps-test ## Measure the budgets: a table, and build/bench/results.json
 	@cmake --preset release -DSUTURED_TESTS=OFF -DSUTURED_BENCH=ON >/dev/null

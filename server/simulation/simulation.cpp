@@ -47,7 +47,7 @@ struct Simulation::State {
       tools.emplace_back(scene, static_cast<int>(i));
     threads.reserve(scene.threads.size());
     for (std::size_t i = 0; i < scene.threads.size(); ++i)
-      threads.emplace_back(scene, static_cast<int>(i), tissue);
+      threads.emplace_back(scene, static_cast<int>(i), tissue, needles);
     if (scene.contact.enabled) {
       std::vector<int> tissue_of;
       std::vector<double> modulus;
@@ -397,7 +397,7 @@ struct Simulation::State {
     for (NeedleBody& needle : needles) needle.reset();
     for (ToolBody& tool : tools) tool.reset();
     tissue.reset();
-    for (ThreadBody& thread : threads) thread.reset(tissue);
+    for (ThreadBody& thread : threads) thread.reset(tissue, needles);
     if (contact) contact->reset();
     contact_points.clear();
     touching.clear();
