@@ -53,7 +53,7 @@ run: build ## Run the main job: server, devices that play a surgeon's hands over
 .PHONY: picture
 picture: $(if $(RUN),,build) ## Draw the tissue at the end of a run (RUN=DIR) coloured by stress, as a PNG
 	$(call install-packages,$(PICTURE_PACKAGES))
-	@run="$(or $(RUN),$(RUN_DIR))"; \
+	@run="$(or $(RUN),$(RUN_DIR)/scene)"; \
 	if [ -z "$(RUN)" ] && [ ! -e "$$run/final.vtk" ]; then run=out/offline; \
 	  $(BIN)/server/sutured run $(SCENE) --surgeon $(SURGEON) --out "$$run" || exit; fi; \
 	/usr/bin/python3 server/scenes/picture.py "$$run"
@@ -71,6 +71,12 @@ test: deps-test ## Build and run every test
 	@cmake --preset dev >/dev/null
 	@cmake --build --preset dev
 	@ctest --preset dev --progress
+
+.PHONY: soak
+soak: deps-test ## Play 1000 random surgeons and check every step
+	@cmake --preset dev >/dev/null
+	@cmake --build --preset dev --target sutured_surgeons
+	@build/dev/tests/soak/sutured_surgeons --count 1000
 
 .PHONY: bench
 bench: deps-test ## Measure the budgets: a table, and build/bench/results.json

@@ -7,16 +7,11 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <iostream>
-#include <map>
-#include <nlohmann/json.hpp>
-#include <optional>
-#include <span>
 #include <stdexcept>
 
-#include "fem/elements.hpp"
-#include "needle/curve.hpp"
+#include "commands/output_file.hpp"
+#include "commands/run_record.hpp"
 #include "protocol/surgeon.hpp"
 #include "scene/scene_reader.hpp"
 #include "simulation/simulation.hpp"
@@ -33,64 +28,6 @@ struct RunOptions {
   bool quiet = false;
 };
 
-/// A text file that is complete or an exception.
-class OutputFile {
- public:
-  OutputFile(const std::filesystem::path& directory, const std::string& name)
-      : path_(directory / name), stream_(path_) {
-    if (!stream_)
-      throw std::runtime_error(path_.string() + ": cannot be written; choose another --out");
-    stream_.precision(17);
-  }
-  template <typename T>
-  OutputFile& operator<<(const T& value) {
-    stream_ << value;
-    return *this;
-  }
-  void close() {
-    stream_.close();
-    if (!stream_)
-      throw std::runtime_error(path_.string() + ": not written completely; is the disk full?");
-  }
-
- private:
-  std::filesystem::path path_;
-  std::ofstream stream_;
-};
-
-const char* name_of(simulation::EventKind kind) {
-  using simulation::EventKind;
-  switch (kind) {
-    case EventKind::kGrasp:
-      return "grasp";
-    case EventKind::kRelease:
-      return "release";
-    case EventKind::kContact:
-      return "contact";
-    case EventKind::kPuncture:
-      return "puncture";
-    case EventKind::kExit:
-      return "exit";
-    case EventKind::kGripSlip:
-      return "grip_slip";
-    case EventKind::kLimit:
-      return "limit";
-    case EventKind::kSolverResidual:
-      return "solver_residual";
-    case EventKind::kContactLost:
-      return "contact_lost";
-    case EventKind::kTaut:
-      return "taut";
-    case EventKind::kSlack:
-      return "slack";
-    case EventKind::kUnthread:
-      return "unthread";
-    case EventKind::kInverted:
-      return "inverted";
-  }
-  return "unknown";
-}
-
 simulation::ToolInput input_at(const suture::SurgeonTrack* track, double time_s) {
   simulation::ToolInput input;
   if (track == nullptr || time_s < track->begin_s() || time_s > track->end_s()) return input;
@@ -101,135 +38,6 @@ simulation::ToolInput input_at(const suture::SurgeonTrack* track, double time_s)
   input.orientation = Eigen::Quaterniond(w, x, y, z).normalized();
   input.jaw = pose.jaw;
   return input;
-}
-
-void write_stress(OutputFile& file, std::span<const simulation::Vec6> stress_pa) {
-  file << "SCALARS von_mises_pa double 1\nLOOKUP_TABLE default\n";
-  for (const auto& s : stress_pa) file << fem::von_mises_pa(s) << '\n';
-  file << "VECTORS principal_pa double\n";
-  for (const auto& s : stress_pa) {
-    const geometry::Vec3 p = fem::principal_stress_pa(s);
-    file << p[0] << ' ' << p[1] << ' ' << p[2] << '\n';
-  }
-}
-
-/// Legacy VTK with tets at rest, displacements, and stress per vertex and tet, in metres and
-/// pascals. The three components of `principal_pa` are the principal stresses, largest first.
-void write_vtk(const std::filesystem::path& directory, const Simulation& sim,
-               const simulation::StressField& stress, const std::string& title) {
-  OutputFile file(directory, "final.vtk");
-  const auto rest = sim.rest_positions_m(), now = sim.positions_m();
-  file << "# vtk DataFile Version 3.0\n"
-       << title << "\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS " << rest.size() << " double\n";
-  for (const auto& x : rest) file << x[0] << ' ' << x[1] << ' ' << x[2] << '\n';
-  const auto tets = sim.tets();
-  file << "CELLS " << tets.size() << ' ' << 5 * tets.size() << '\n';
-  for (const auto& t : tets)
-    file << "4 " << t[0] << ' ' << t[1] << ' ' << t[2] << ' ' << t[3] << '\n';
-  file << "CELL_TYPES " << tets.size() << '\n';
-  for (std::size_t i = 0; i < tets.size(); ++i) file << "10\n";
-  file << "POINT_DATA " << rest.size() << "\nVECTORS displacement_m double\n";
-  for (std::size_t v = 0; v < rest.size(); ++v) {
-    const geometry::Vec3 u = now[v] - rest[v];
-    file << u[0] << ' ' << u[1] << ' ' << u[2] << '\n';
-  }
-  write_stress(file, stress.vertex_pa);
-  file << "CELL_DATA " << tets.size() << '\n';
-  write_stress(file, stress.tet_pa);
-  file.close();
-}
-
-/// The largest principal and von Mises stress of any tet, and where: the tissue and the rest
-/// position of the tet's centre.
-nlohmann::json summarise_stress(const Simulation& sim, const simulation::StressField& stress) {
-  nlohmann::json summary;
-  const auto add = [&](const std::string& name, auto&& measure) {
-    const auto less = [&](const auto& a, const auto& b) { return measure(a) < measure(b); };
-    const auto largest = std::max_element(stress.tet_pa.begin(), stress.tet_pa.end(), less);
-    const auto& tet = sim.tets()[static_cast<std::size_t>(largest - stress.tet_pa.begin())];
-    geometry::Vec3 centre = geometry::Vec3::Zero();
-    for (const auto v : tet) centre += 0.25 * sim.rest_positions_m()[static_cast<std::size_t>(v)];
-    std::string tissue;
-    for (const auto& body : sim.bodies())
-      if (tet[0] >= body.first_vertex) tissue = body.name;
-    summary[name + "_max_pa"] = measure(*largest);
-    summary[name + "_max_at"] = {{"tissue", tissue},
-                                 {"rest_position_m", {centre[0], centre[1], centre[2]}}};
-  };
-  add("principal", [](const auto& s) { return fem::principal_stress_pa(s)[0]; });
-  add("von_mises", [](const auto& s) { return fem::von_mises_pa(s); });
-  return summary;
-}
-
-/// Points of a needle's axis, tip to tail: what to draw.
-nlohmann::json course_m(const scene::Needle& needle, const scene::Pose& pose) {
-  constexpr int kPoints = 33;
-  const needle::Curve curve = needle::Curve::of(needle);
-  nlohmann::json course = nlohmann::json::array();
-  for (int i = 0; i < kPoints; ++i) {
-    const geometry::Vec3 p = curve.point(pose, curve.length_m() * (1.0 - i / (kPoints - 1.0)));
-    course.push_back({p[0], p[1], p[2]});
-  }
-  return course;
-}
-
-nlohmann::json summarise(const scene::Scene& scene, const Simulation& sim,
-                         const nlohmann::json& events, const std::vector<double>& peak_force_n,
-                         const std::vector<double>& peak_tension_n,
-                         const std::vector<nlohmann::json>& tension_over_time, double residual_max,
-                         int inverted_tets_max, std::uint64_t steps, double rate_hz) {
-  nlohmann::json summary;
-  summary["scene"] = scene.name;
-  summary["steps"] = steps;
-  summary["rate_hz"] = rate_hz;
-  summary["duration_s"] = sim.time_s();
-  summary["vertices"] = sim.rest_positions_m().size();
-  summary["tets"] = sim.tets().size();
-  std::map<std::string, int> counts;
-  nlohmann::json punctures = nlohmann::json::array();
-  for (const auto& event : events) {
-    ++counts[event["kind"]];
-    if (event["kind"] == "puncture" || event["kind"] == "exit") punctures.push_back(event);
-  }
-  summary["event_counts"] = counts;
-  summary["punctures"] = punctures;
-  nlohmann::json tools = nlohmann::json::object();
-  for (std::size_t i = 0; i < scene.tools.size(); ++i)
-    tools[scene.tools[i].name] = {{"peak_force_n", peak_force_n[i]}};
-  summary["tools"] = tools;
-  nlohmann::json needles = nlohmann::json::object();
-  for (std::size_t i = 0; i < scene.needles.size(); ++i) {
-    const auto& needle = sim.needles()[i];
-    needles[scene.needles[i].name] = {
-        {"embedded_length_m", needle.embedded_length_m},
-        {"active_cells", needle.active_cells},
-        {"tip_inside", needle.tip_inside},
-        {"diameter_m", scene.needles[i].diameter_m},
-        {"course_m", course_m(scene.needles[i], {needle.position_m, needle.orientation})}};
-  }
-  summary["needles"] = needles;
-  nlohmann::json threads = nlohmann::json::object();
-  for (std::size_t i = 0; i < scene.threads.size(); ++i) {
-    const auto& thread = sim.threads()[i];
-    nlohmann::json course = nlohmann::json::array();
-    for (const auto& p : thread.course_m) course.push_back({p[0], p[1], p[2]});
-    threads[scene.threads[i].name] = {{"tension_n", thread.tension_n},
-                                      {"tension_max_n", peak_tension_n[i]},
-                                      {"tension_over_time", tension_over_time[i]},
-                                      {"slack_m", thread.slack_m},
-                                      {"punctures", thread.punctures.size()},
-                                      {"diameter_m", scene.threads[i].diameter_m},
-                                      {"course_m", course}};
-  }
-  summary["threads"] = threads;
-  double displacement = 0.0;
-  for (std::size_t v = 0; v < sim.positions_m().size(); ++v)
-    displacement =
-        std::max(displacement, (sim.positions_m()[v] - sim.rest_positions_m()[v]).norm());
-  summary["displacement_max_m"] = displacement;
-  summary["complementarity_residual_max"] = residual_max;
-  summary["inverted_tets_max"] = inverted_tets_max;
-  return summary;
 }
 
 /// A bar on a terminal, nothing elsewhere.
@@ -277,6 +85,7 @@ int run(const RunOptions& options) {
   const double duration_s = options.duration_s > 0.0 ? options.duration_s : surgeon.end_s();
   const auto steps =
       static_cast<std::uint64_t>(std::llround(std::ceil(duration_s * rate_hz - 1e-9)));
+  RunRecord record(scene, sim, rate_hz);
 
   OutputFile step_file(options.out, "steps.csv"), timing(options.out, "timing.csv"),
       tool_file(options.out, "tools.csv"), thread_file(options.out, "threads.csv"),
@@ -288,36 +97,14 @@ int run(const RunOptions& options) {
   std::vector<const suture::SurgeonTrack*> tracks;
   for (const auto& tool : scene.tools) tracks.push_back(surgeon.track(tool.name));
   std::vector<simulation::ToolInput> inputs(scene.tools.size());
-  std::vector<double> peak_force_n(scene.tools.size(), 0.0);
-  std::vector<double> peak_tension_n(scene.threads.size(), 0.0);
-  // [time_s, tension_n] ten times a second; threads.csv has every step.
-  std::vector<nlohmann::json> tension_over_time(scene.threads.size(), nlohmann::json::array());
-  const auto tenth = static_cast<std::uint64_t>(std::max(1.0, std::round(rate_hz / 10.0)));
-  nlohmann::json events = nlohmann::json::array();
-  double residual_max = 0.0;
-  int inverted_tets_max = 0;
-  const auto take_events = [&] {
-    for (const auto& event : sim.events()) {
-      const nlohmann::json line = {
-          {"time_s", event.time_s},
-          {"kind", name_of(event.kind)},
-          {"subject", event.subject},
-          {"object", event.object},
-          {"position_m", {event.position_m[0], event.position_m[1], event.position_m[2]}},
-          {"force_n", event.force_n}};
-      event_file << line.dump() << "\n";
-      events.push_back(line);
-    }
-  };
   Progress progress(!options.quiet, steps);
   for (std::uint64_t step = 1; step <= steps; ++step) {
     const double time_s = static_cast<double>(step) / rate_hz;
     for (std::size_t i = 0; i < inputs.size(); ++i)
       inputs[i] = input_at(tracks[i], std::min(time_s, duration_s));
     sim.step(inputs, 1.0 / rate_hz);
+    record.watch(sim);
     const auto& report = sim.report();
-    residual_max = std::max(residual_max, report.complementarity_residual);
-    inverted_tets_max = std::max(inverted_tets_max, report.inverted_tets);
     step_file << report.time_s << ',' << report.rows << ',' << report.active_unilateral_rows << ','
               << report.contacts << ',' << report.complementarity_residual << '\n';
     timing << report.time_s << ',' << report.substeps << ',' << report.track_ns << ','
@@ -332,7 +119,6 @@ int run(const RunOptions& options) {
         throw std::runtime_error("tool \"" + scene.tools[i].name + "\" feels no finite force at " +
                                  std::to_string(report.time_s) +
                                  " s; see whether the scene's numbers make sense");
-      peak_force_n[i] = std::max(peak_force_n[i], w.head<3>().norm());
       tool_file << report.time_s << ',' << scene.tools[i].name << ',' << p[0] << ',' << p[1] << ','
                 << p[2] << ',' << q.x() << ',' << q.y() << ',' << q.z() << ',' << q.w() << ','
                 << inputs[i].jaw << ',' << w[0] << ',' << w[1] << ',' << w[2] << ',' << w[3] << ','
@@ -340,27 +126,14 @@ int run(const RunOptions& options) {
     }
     for (std::size_t i = 0; i < scene.threads.size(); ++i) {
       const auto& thread = sim.threads()[i];
-      peak_tension_n[i] = std::max(peak_tension_n[i], thread.tension_n);
-      if (step % tenth == 0) tension_over_time[i].push_back({report.time_s, thread.tension_n});
       thread_file << report.time_s << ',' << scene.threads[i].name << ',' << thread.tension_n << ','
                   << thread.slack_m << ',' << thread.punctures.size() << '\n';
     }
-    take_events();
+    for (const auto& event : sim.events()) event_file << to_json(event).dump() << "\n";
     progress.at(step);
   }
-  sim.update_displacements();
-  inverted_tets_max = std::max(inverted_tets_max, sim.report().inverted_tets);
-  simulation::StressField stress;
-  sim.compute_stress(stress);
-  write_vtk(options.out, sim, stress, scene.name);
-  nlohmann::json summary =
-      summarise(scene, sim, events, peak_force_n, peak_tension_n, tension_over_time, residual_max,
-                inverted_tets_max, steps, rate_hz);
-  summary["stress"] = summarise_stress(sim, stress);
-  OutputFile summary_file(options.out, "summary.json");
-  summary_file << summary.dump(2) << "\n";
-  for (OutputFile* file :
-       {&step_file, &timing, &tool_file, &thread_file, &event_file, &summary_file})
+  record.write(options.out, sim);
+  for (OutputFile* file : {&step_file, &timing, &tool_file, &thread_file, &event_file})
     file->close();
   return 0;
 }

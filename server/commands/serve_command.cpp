@@ -8,10 +8,14 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <iostream>
 #include <limits>
+#include <optional>
 #include <string>
+#include <utility>
 
+#include "commands/run_record.hpp"
 #include "endpoints/server.hpp"
 #include "protocol/types.hpp"
 #include "scene/scene_reader.hpp"
@@ -28,6 +32,36 @@ struct Options {
   std::string http = "off";
   double rate_hz = 0.0;
   double duration_s = 0.0;
+  std::string out;  ///< empty: no record
+};
+
+/// Keeps the record of what is served, on the simulation's thread. A reset begins a new one.
+class ServedRecord {
+ public:
+  ServedRecord(scene::Scene scene, double rate_hz, std::filesystem::path folder)
+      : scene_(std::move(scene)), rate_hz_(rate_hz), folder_(std::move(folder)) {}
+
+  void watch(simulation::Simulation& simulation, bool last) {
+    if (simulation.time_s() < time_s_) record_.reset();
+    time_s_ = simulation.time_s();
+    if (!record_) record_.emplace(scene_, simulation, rate_hz_);
+    if (!last) return record_->watch(simulation);
+    try {
+      record_->write(folder_, simulation);
+    } catch (const std::exception& error) {
+      failure_ = error.what();
+    }
+  }
+  /// Why the record could not be written; to be read once the server has stopped.
+  [[nodiscard]] const std::string& failure() const { return failure_; }
+
+ private:
+  scene::Scene scene_;
+  double rate_hz_;
+  std::filesystem::path folder_;
+  double time_s_ = 0.0;
+  std::optional<RunRecord> record_;
+  std::string failure_;
 };
 
 /// Keeps the signals that end a server for `wait`; threads made after it inherit that.
@@ -77,6 +111,14 @@ int serve(const Options& options) {
   server_options.session.domain = options.domain;
   server_options.session.session = options.session;
   server_options.rate_hz = rate_hz;
+  std::optional<ServedRecord> record;
+  if (!options.out.empty()) {
+    std::filesystem::create_directories(options.out);
+    record.emplace(scene, rate_hz, options.out);
+    server_options.watch = [&record](simulation::Simulation& simulation, bool last) {
+      record->watch(simulation, last);
+    };
+  }
   endpoints::Server server(std::move(scene), std::move(server_options));
   if (!server.realtime().note.empty()) log->warn("{}", server.realtime().note);
   if (const std::string notes = server.notes(); !notes.empty()) log->warn("{}", notes);
@@ -105,6 +147,10 @@ int serve(const Options& options) {
   }
   const std::string summary = server.summary();
   server.stop(reason);
+  if (record && !record->failure().empty()) {
+    log->error("{}", record->failure());
+    code = kSceneFailed;
+  }
   log->info("stopping, {}: {}", reason, summary);
   return code;
 }
@@ -142,6 +188,8 @@ void add_serve_command(CLI::App& app, int& exit_code) {
       ->check(CLI::Range(30.0, 1000.0));
   command->add_option("--duration", options->duration_s, "End after so many seconds")
       ->check(CLI::PositiveNumber);
+  command->add_option("--out", options->out,
+                      "Folder for final.vtk and summary.json, written when the server ends");
   command->footer(
       "Examples:\n"
       "  sutured serve server/scenes/anastomosis/scene.toml\n"

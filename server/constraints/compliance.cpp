@@ -271,7 +271,11 @@ void Compliance::apply(const ConstraintRows& rows, std::span<const double> multi
           multiplier_n[static_cast<std::size_t>(i)] * entry.coefficient;
       loaded_.push_back(slot);
     }
-  std::sort(loaded_.begin(), loaded_.end());
+  // In the order of vertices: slots tell what was in use before, and sums must not depend on that.
+  std::sort(loaded_.begin(), loaded_.end(), [&](int a, int b) {
+    return columns_[static_cast<std::size_t>(a)].vertex <
+           columns_[static_cast<std::size_t>(b)].vertex;
+  });
   loaded_.erase(std::unique(loaded_.begin(), loaded_.end()), loaded_.end());
 }
 

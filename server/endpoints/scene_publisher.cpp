@@ -17,6 +17,7 @@ namespace {
 
 constexpr std::int64_t kBeat_ns = 10'000'000;
 constexpr std::int64_t kStatusPeriod_ns = 500'000'000;
+constexpr std::int64_t kQualityPeriod_ns = 500'000'000;
 // A fault that lasts, or comes a thousand times a second, is told once a second.
 constexpr std::int64_t kFaultPeriod_ns = 1'000'000'000;
 constexpr int kCoursePoints = 33;
@@ -60,8 +61,10 @@ ScenePublisher::ScenePublisher(const suture::Participant& control, const suture:
       needles_(mesh),
       threads_(mesh),
       contacts_(mesh),
+      quality_(mesh),
       told_(served_.tools.size()),
-      tool_status_(served_.tools.size()) {
+      tool_status_(served_.tools.size()),
+      told_quality_(served_.scene.threads.size()) {
   guid_ = status_.guid();
   status_ns_ = suture::monotonic_ns();
   publish_topology();
@@ -161,6 +164,7 @@ void ScenePublisher::publish_frame(const haptics::DisplayFrame& frame) {
   publish_threads(frame);
   publish_contacts(frame);
   publish_tools(frame);
+  publish_quality(frame, suture::monotonic_ns());
 }
 
 void ScenePublisher::publish_needles(const haptics::DisplayFrame& frame) {
@@ -216,6 +220,23 @@ void ScenePublisher::publish_contacts(const haptics::DisplayFrame& frame) {
   wire.stamp_ns = frame.stamp_ns;
   wire.step = frame.step;
   contacts_.write(wire);
+}
+
+void ScenePublisher::publish_quality(const haptics::DisplayFrame& frame, std::int64_t now_ns) {
+  for (std::size_t t = 0; t < frame.quality.size(); ++t) {
+    ToldQuality& told = told_quality_[t];
+    const bool anew = told.epoch != frame.epoch;
+    if (!anew && (now_ns - told.at_ns < kQualityPeriod_ns ||
+                  !simulation::differs(told.figures, frame.quality[t])))
+      continue;
+    told = {frame.quality[t], frame.epoch, now_ns};
+    suture::v1::Quality wire{};
+    set_quality(wire, served_.scene, t, told.figures, bites_);
+    wire.epoch = frame.epoch;
+    wire.sequence_number = ++quality_sequence_;
+    wire.stamp_ns = suture::wall_clock_ns();
+    quality_.write(wire);
+  }
 }
 
 void ScenePublisher::publish_tools(const haptics::DisplayFrame& frame) {

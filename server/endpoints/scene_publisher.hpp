@@ -56,6 +56,12 @@ class ScenePublisher {
     std::uint64_t poses = 0, forces = 0;  // at the last status
     std::uint64_t lease_holder = 0;
   };
+  /// The figures of a thread as they were last told.
+  struct ToldQuality {
+    simulation::ThreadQuality figures;
+    std::uint64_t epoch = 0;
+    std::int64_t at_ns = 0;
+  };
   struct PendingReset {
     suture::v1::CommandReply reply;
     std::uint64_t epoch_before;
@@ -67,6 +73,7 @@ class ScenePublisher {
   void publish_needles(const haptics::DisplayFrame& frame);
   void publish_threads(const haptics::DisplayFrame& frame);
   void publish_contacts(const haptics::DisplayFrame& frame);
+  void publish_quality(const haptics::DisplayFrame& frame, std::int64_t now_ns);
   void publish_tools(const haptics::DisplayFrame& frame);
   void publish_status(suture_v1_ServerState state, const std::string& reason);
   void publish_events(std::int64_t now_ns);
@@ -92,15 +99,19 @@ class ScenePublisher {
   suture::Writer<suture::v1::NeedleState> needles_;
   suture::Writer<suture::v1::ThreadState> threads_;
   suture::Writer<suture::v1::ContactState> contacts_;
+  suture::Writer<suture::v1::Quality> quality_;
 
   std::vector<Told> told_;
   std::vector<suture::v1::ToolStatus> tool_status_;
   std::vector<double> course_m_;
   std::vector<suture::v1::Puncture> punctures_;
   std::vector<suture::v1::ContactPoint> contact_points_;
+  std::vector<suture::v1::Bite> bites_;
+  std::vector<ToldQuality> told_quality_;  // per thread
   std::vector<PendingReset> resets_;
   simulation::StepReport report_;  // of the last frame
   std::uint64_t status_sequence_ = 0, event_sequence_ = 0, frame_sequence_ = 0;
+  std::uint64_t quality_sequence_ = 0;
   std::uint64_t topology_epoch_ = 0, events_dropped_told_ = 0, overruns_told_ = 0;
   std::uint64_t steps_then_ = 0, frames_since_ = 0;
   std::int64_t status_ns_ = 0;

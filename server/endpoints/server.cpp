@@ -98,6 +98,8 @@ Server::Server(scene::Scene scene, Options options)
   haptics::SimulationLoop::Options loop_options;
   loop_options.rate_hz = s.options.rate_hz;
   loop_options.models_published = [models = &*s.models] { models->notify(); };
+  loop_options.quality.emplace(s.scene, simulation);
+  loop_options.watch = s.options.watch;
   s.loop.emplace(std::move(simulation), channels, std::move(loop_options));
   s.models->start(*s.loop);
   s.supervisor.emplace([forces = &*s.forces](std::int64_t now_ns) { forces->tick(now_ns); });

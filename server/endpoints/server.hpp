@@ -1,12 +1,17 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <string>
 
 #include "haptics/realtime.hpp"
 #include "protocol/participant.hpp"
 #include "scene/scene.hpp"
+
+namespace sutured::simulation {
+class Simulation;
+}
 
 namespace sutured::endpoints {
 
@@ -18,6 +23,8 @@ class Server {
   struct Options {
     suture::ParticipantOptions session;
     double rate_hz = 0.0;  ///< of the simulation; 0: the scene's
+    /// haptics::SimulationLoop::Options::watch
+    std::function<void(simulation::Simulation&, bool last)> watch;
   };
 
   /// Builds the simulation and starts serving. Throws suture::Error (kServerRunning where

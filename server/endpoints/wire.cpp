@@ -230,6 +230,7 @@ void set_thread(suture::v1::ThreadState& wire, const scene::Scene& scene, std::s
                 std::vector<suture::v1::Puncture>& punctures) {
   suture::set_text(wire.thread, scene.threads[thread].name);
   wire.length_m = state.length_m;
+  wire.diameter_m = scene.threads[thread].diameter_m;
   wire.tension_n = state.tension_n;
   wire.slack_m = state.slack_m;
   wire.taut = state.taut;
@@ -268,6 +269,36 @@ void set_contacts(suture::v1::ContactState& wire, const scene::Scene& scene,
                                                       : name_at(scene.needles, from.needle));
   }
   suture::lend(wire.points, std::span<const suture::v1::ContactPoint>(points));
+}
+
+void set_quality(suture::v1::Quality& wire, const scene::Scene& scene, std::size_t thread,
+                 const simulation::ThreadQuality& quality, std::vector<suture::v1::Bite>& bites) {
+  suture::set_text(wire.thread, scene.threads[thread].name);
+  wire.elapsed_s = quality.elapsed_s;
+  wire.needle_path_m = quality.needle_path_m;
+  wire.peak_force_n = quality.peak_force_n;
+  wire.peak_principal_stress_pa = quality.peak_principal_stress_pa;
+  wire.gap_start_m = quality.gap_start.max_m;
+  wire.gap_m = quality.gap.max_m;
+  wire.tension_n = quality.tension_n;
+  wire.bite_depth_mean_m = quality.depth_m.mean;
+  wire.bite_depth_spread_m = quality.depth_m.deviation;
+  wire.bite_spacing_mean_m = quality.spacing_m.mean;
+  wire.bite_spacing_spread_m = quality.spacing_m.deviation;
+  wire.handovers = quality.handovers;
+  wire.needle_drops = quality.needle_drops;
+  bites.clear();
+  for (const simulation::BiteFigures& from : quality.bites) {
+    suture::v1::Bite& to = bites.emplace_back();
+    suture::set_text(to.body, name_at(scene.tissues, from.tissue));
+    for (int i = 0; i < 3; ++i) to.entry_m[i] = from.entry_m[i];
+    for (int i = 0; i < 3; ++i) to.exit_m[i] = from.exit_m[i];
+    to.depth_m = from.depth_m;
+    to.edge_distance_m = from.edge_distance_m;
+    to.spacing_m = from.spacing_m;
+    to.peak_force_n = from.peak_force_n;
+  }
+  suture::lend(wire.bites, std::span<const suture::v1::Bite>(bites));
 }
 
 suture::v1::Percentiles percentiles(const haptics::LatencySummary& summary) noexcept {

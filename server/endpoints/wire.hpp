@@ -12,6 +12,7 @@
 #include "haptics/tool_channel.hpp"
 #include "protocol/types.hpp"
 #include "scene/scene.hpp"
+#include "simulation/quality.hpp"
 
 namespace sutured::endpoints {
 
@@ -46,6 +47,11 @@ void set_thread(suture::v1::ThreadState& wire, const scene::Scene& scene, std::s
 void set_contacts(suture::v1::ContactState& wire, const scene::Scene& scene,
                   std::span<const simulation::ContactPoint> contacts,
                   std::vector<suture::v1::ContactPoint>& points);
+
+/// Fills `wire` but for its epoch, number and stamp. Its bites lend from `bites`, which is
+/// overwritten and must outlive the write.
+void set_quality(suture::v1::Quality& wire, const scene::Scene& scene, std::size_t thread,
+                 const simulation::ThreadQuality& quality, std::vector<suture::v1::Bite>& bites);
 
 [[nodiscard]] suture::v1::Percentiles percentiles(const haptics::LatencySummary& summary) noexcept;
 

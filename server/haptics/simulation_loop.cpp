@@ -15,6 +15,12 @@
 
 namespace sutured::haptics {
 
+namespace {
+
+constexpr std::int64_t kMeasurePeriod_ns = 500'000'000;
+
+}  // namespace
+
 SimulationLoop::SimulationLoop(simulation::Simulation simulation,
                                std::span<ToolChannel* const> channels, Options options)
     : simulation_(std::move(simulation)),
@@ -38,6 +44,10 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
     for (simulation::ThreadState& thread : frame.threads) reserve_thread(thread);
     frame.contacts.reserve(kShownContactsMax);
     frame.held.resize(channels_.size());
+    if (!options_.quality) return;
+    frame.quality.resize(simulation_.threads().size());
+    for (simulation::ThreadQuality& quality : frame.quality)
+      quality.bites.reserve(simulation::QualityMeter::kBitesMax);
   });
   begin_epoch();
   thread_ = std::thread([this] { run(); });
@@ -81,7 +91,8 @@ void SimulationLoop::run() noexcept {
         resets_done_ = asked;
         simulation_.reset();
         begin_epoch();
-        shown_ns_ = 0;
+        shown_ns_ = measured_ns_ = 0;
+        if (options_.quality) options_.quality->reset();
       }
       if (!paused())
         step(suture::monotonic_ns(),
@@ -91,6 +102,7 @@ void SimulationLoop::run() noexcept {
       due_ns = next.at_ns;
       beats = next.missed + 1;
     }
+    if (options_.watch) options_.watch(simulation_, true);
   } catch (const std::exception& error) {
     failure_ = error.what();
     failed_.store(true, std::memory_order_release);
@@ -114,9 +126,11 @@ void SimulationLoop::step(std::int64_t now_ns, double dt_s) {
   step_times_.record(suture::monotonic_ns() - now_ns);
   if (options_.models_published) options_.models_published();
   publish_events();
+  if (options_.quality) options_.quality->watch(simulation::quality_view(simulation_));
+  if (options_.watch) options_.watch(simulation_, false);
   if (now_ns - shown_ns_ >= display_period_ns_) {
     shown_ns_ = now_ns;
-    publish_frame();
+    publish_frame(now_ns);
   }
 }
 
@@ -148,7 +162,7 @@ void SimulationLoop::publish_events() {
     events_.push({epoch(), simulation_.report().step, event});
 }
 
-void SimulationLoop::publish_frame() {
+void SimulationLoop::publish_frame(std::int64_t now_ns) {
   simulation_.update_displacements();
   simulation_.compute_stress(stress_);
   DisplayFrame& frame = frames_.back();
@@ -157,6 +171,7 @@ void SimulationLoop::publish_frame() {
   frame.stamp_ns = suture::wall_clock_ns();
   frame.time_s = simulation_.time_s();
   frame.report = simulation_.report();
+  double peak_principal_pa = 0.0;
   const auto positions = simulation_.positions_m();
   const auto bodies = simulation_.bodies();
   for (std::size_t b = 0; b < bodies.size(); ++b) {
@@ -165,6 +180,7 @@ void SimulationLoop::publish_frame() {
       const std::size_t global = bodies[b].first_vertex + vertices[v];
       const auto& stress_pa = stress_.vertex_pa[global];
       const geometry::Vec3 principal_pa = fem::principal_stress_pa(stress_pa);
+      peak_principal_pa = std::max(peak_principal_pa, principal_pa[0]);
       for (int k = 0; k < 3; ++k) {
         frame.position_m[b][3 * v + k] = static_cast<float>(positions[global][k]);
         frame.principal_pa[b][3 * v + k] = static_cast<float>(principal_pa[k]);
@@ -178,6 +194,15 @@ void SimulationLoop::publish_frame() {
   copy_contacts(simulation_.contacts(), frame.contacts);
   for (std::size_t i = 0; i < frame.held.size(); ++i)
     frame.held[i] = simulation_.responses()[i].held;
+  if (options_.quality) {
+    options_.quality->note_principal_stress(peak_principal_pa);
+    if (now_ns - measured_ns_ >= kMeasurePeriod_ns) {
+      measured_ns_ = now_ns;
+      options_.quality->measure(simulation::quality_view(simulation_));
+    }
+    std::copy(options_.quality->threads().begin(), options_.quality->threads().end(),
+              frame.quality.begin());
+  }
   frames_.publish();
 }
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <thread>
@@ -14,6 +15,7 @@
 #include "haptics/period_latency.hpp"
 #include "haptics/tool_channel.hpp"
 #include "protocol/snapshot.hpp"
+#include "simulation/quality.hpp"
 #include "simulation/simulation.hpp"
 
 namespace sutured::haptics {
@@ -32,6 +34,7 @@ struct DisplayFrame {
   std::vector<simulation::ThreadState> threads;    ///< as far as `display_copies.hpp` lets them
   std::vector<simulation::ContactPoint> contacts;  ///< likewise
   std::vector<simulation::HeldThing> held;         ///< per tool
+  std::vector<simulation::ThreadQuality> quality;  ///< per thread; empty without a meter
 };
 
 /// One tool's model, and what a device needs beside it to render it itself.
@@ -66,8 +69,13 @@ class SimulationLoop {
   struct Options {
     double rate_hz = 250.0;
     double display_rate_hz = 60.0;
+    /// Of the same simulation; none: nobody is judged. Gaps and bites are measured twice a second.
+    std::optional<simulation::QualityMeter> quality;
     /// Called on the simulation's thread after each step's models are published: short.
     std::function<void()> models_published;
+    /// Called on the simulation's thread after each step, and once more, with `last`, when the
+    /// loop ends: for records. It may take the time between two steps.
+    std::function<void(simulation::Simulation&, bool last)> watch;
   };
 
   /// Starts stepping. `channels`: one per tool of the scene, in order; they outlive it.
@@ -122,7 +130,7 @@ class SimulationLoop {
   void step(std::int64_t now_ns, double dt_s);
   void publish_models(std::int64_t taken_ns);
   void publish_events();
-  void publish_frame();
+  void publish_frame(std::int64_t now_ns);
 
   simulation::Simulation simulation_;
   std::vector<ToolChannel*> channels_;
@@ -136,7 +144,7 @@ class SimulationLoop {
   BoundedQueue<LoopEvent, 1024> events_;
   simulation::StressField stress_;
   std::uint64_t resets_done_ = 0;
-  std::int64_t shown_ns_ = 0;
+  std::int64_t shown_ns_ = 0, measured_ns_ = 0;
 
   PeriodLatency step_times_;
   std::atomic<std::uint64_t> epoch_{0}, steps_{0}, overruns_{0}, resets_asked_{0};

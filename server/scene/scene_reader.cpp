@@ -244,16 +244,17 @@ class SceneBuilder {
               "give each thread its own needle");
     }
     read_punctures(table, thread);
+    const std::size_t known = faults_.count();
     read_length_program(table, thread);
-    check_thread(table, thread);
+    check_thread(table, thread, faults_.count() == known);
     scene_.threads.push_back(std::move(thread));
   }
 
-  void check_thread(TableReader& table, const Thread& thread) {
+  void check_thread(TableReader& table, const Thread& thread, bool good_program) {
     if (thread.punctures.size() % 2 != 0)
       table.fault("punctures",
-                  table.title() + " has " + std::to_string(thread.punctures.size()) +
-                      " punctures, and every bite has two",
+                  table.title() + " has an odd number of punctures (" +
+                      std::to_string(thread.punctures.size()) + "), and every bite has two",
                   "list where each bite enters and where it leaves, from tail to head");
     for (std::size_t i = 0; i + 1 < thread.punctures.size(); i += 2)
       if (thread.punctures[i].tissue != thread.punctures[i + 1].tissue)
@@ -264,7 +265,7 @@ class SceneBuilder {
     if (thread.ends == ThreadEnds::kNone && thread.punctures.size() < 4)
       table.fault("ends", table.title() + " has no ends and fewer than two bites: nothing pulls it",
                   "list at least four punctures, or write ends = \"held\"");
-    if (!thread.length_program.empty() && thread.ends == ThreadEnds::kHeld)
+    if (good_program && !thread.length_program.empty() && thread.ends == ThreadEnds::kHeld)
       table.fault("length_program_m",
                   table.title() + " has a length program, but hands rule its ends",
                   "write ends = \"none\", or leave the program out");

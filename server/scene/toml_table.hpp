@@ -31,6 +31,7 @@ class Faults {
   }
   void add(SceneFault fault) { list_.push_back(std::move(fault)); }
   [[nodiscard]] bool empty() const { return list_.empty(); }
+  [[nodiscard]] std::size_t count() const { return list_.size(); }
   [[nodiscard]] std::size_t size() const { return list_.size(); }
   /// Returns the faults by line, those of other files last.
   [[nodiscard]] std::vector<SceneFault> sorted() const;

@@ -248,7 +248,8 @@ bool NeedleBody::read(const ConstraintRows& rows, std::span<const double> lambda
     static_slip_ = true;
     static_slip_sign_ = axial_force_n_ > 0.0 ? 1.0 : -1.0;
     // Beyond the limit it creeps as a held needle slides.
-    mobility_.slide_compliance_m_per_n = 1.0 / std::max(embedded_friction_, 1e-9) * 1e-2;
+    mobility_.slide_compliance_m_per_n =
+        std::min(1e-2 / std::max(embedded_friction_, 1e-9), kSlideComplianceMax_m_per_n);
     good = false;
   }
   if (tip_.rows == 0) return good;

@@ -31,7 +31,7 @@ constexpr int kSlowSubsteps = 3;
 constexpr double kReach_m = 2.0 * kSubstepMotion_m;
 constexpr int kRevisionsMax = 4;
 constexpr int kIdleStepsMax = 512;
-constexpr double kResidualMax = 1e-6;
+constexpr double kResidualMax = 1e-8;
 
 std::int64_t since(Clock::time_point start) {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - start).count();
@@ -47,7 +47,7 @@ struct Simulation::State {
       tools.emplace_back(scene, static_cast<int>(i));
     threads.reserve(scene.threads.size());
     for (std::size_t i = 0; i < scene.threads.size(); ++i)
-      threads.emplace_back(scene, static_cast<int>(i), tissue);
+      threads.emplace_back(scene, static_cast<int>(i), tissue, needles);
     if (scene.contact.enabled) {
       std::vector<int> tissue_of;
       std::vector<double> modulus;
@@ -67,6 +67,7 @@ struct Simulation::State {
     rows.reserve(512, 2048);
     events.reserve(64);
     pending_events.reserve(64);
+    clear_world_changed();
     report_needles();
     report_threads();
   }
@@ -252,9 +253,6 @@ struct Simulation::State {
     report = {};
     report.step = number;
     report.substeps = substeps_for(target_inputs, dt_s);
-    for (NeedleBody& needle : needles) needle.clear_world_changed();
-    for (ToolBody& tool : tools) tool.clear_world_changed();
-    for (ThreadBody& thread : threads) thread.clear_world_changed();
     if (dt_s != period_s) {
       base_s = time_s;
       period_s = dt_s;
@@ -287,6 +285,7 @@ struct Simulation::State {
       responses[i].held = tools[i].held(tissue);
       report.contacts += tools[i].contacts();
     }
+    clear_world_changed();
     report.model_ns += since(start);
     report.time_s = time_s;
     report.rows = rows.size();
@@ -295,6 +294,13 @@ struct Simulation::State {
     report_threads();
     report_contacts();
     tell_contacts();
+  }
+
+  /// Call when the responses have told of it: what `settle` finds after that is for the next step.
+  void clear_world_changed() {
+    for (NeedleBody& needle : needles) needle.clear_world_changed();
+    for (ToolBody& tool : tools) tool.clear_world_changed();
+    for (ThreadBody& thread : threads) thread.clear_world_changed();
   }
 
   void report_contacts() {
@@ -391,7 +397,7 @@ struct Simulation::State {
     for (NeedleBody& needle : needles) needle.reset();
     for (ToolBody& tool : tools) tool.reset();
     tissue.reset();
-    for (ThreadBody& thread : threads) thread.reset(tissue);
+    for (ThreadBody& thread : threads) thread.reset(tissue, needles);
     if (contact) contact->reset();
     contact_points.clear();
     touching.clear();
@@ -409,6 +415,7 @@ struct Simulation::State {
     steps_since_base = 0;
     rows.clear();
     warm.clear();
+    clear_world_changed();
     report_needles();
     report_threads();
   }

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <utility>
 
 #include "simulation/tool_body.hpp"
 
@@ -32,15 +34,16 @@ std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
 }  // namespace
 
-ThreadBody::ThreadBody(const scene::Scene& scene, int index, const TissueState& tissue)
+ThreadBody::ThreadBody(const scene::Scene& scene, int index, const TissueState& tissue,
+                       std::span<const NeedleBody> needles)
     : scene_(&scene), index_(index), description_(scene.threads[at(index)]) {
   for (std::size_t n = 0; n < scene.needles.size(); ++n)
     if (scene.needles[n].name == description_.needle) needle_ = static_cast<int>(n);
   if (!scene.gravity_m_per_s2.isZero()) hanging_ = scene.gravity_m_per_s2.normalized();
-  reset(tissue);
+  reset(tissue, needles);
 }
 
-void ThreadBody::reset(const TissueState& tissue) {
+void ThreadBody::reset(const TissueState& tissue, std::span<const NeedleBody> needles) {
   bites_.clear();
   path_bites_.clear();
   holds_.clear();
@@ -70,8 +73,10 @@ void ThreadBody::reset(const TissueState& tissue) {
   head_out_m_ = description_.head == scene::ThreadHead::kFree ? description_.tail_length_m : 0.0;
   ends_known_ = !bites_.empty();
   world_changed_ = true;
-  build_chain(tissue, {}, {}, 0.0);
-  rest_length_m_ = chain_.empty() ? 0.0 : counted_length_m(0, static_cast<int>(chain_.size()) - 1);
+  rest_length_m_ = 0.0;
+  build_chain(tissue, needles, {}, 0.0);
+  if (!chain_.empty()) rest_length_m_ = counted_length_m(0, static_cast<int>(chain_.size()) - 1);
+  draw();
 }
 
 /// The cells that the needle's tail has left, as bites.
@@ -126,6 +131,8 @@ void ThreadBody::build_chain(const TissueState& tissue, std::span<const NeedleBo
       point.position_m = tools[at(hold.tool)].grip_point_m();
       point.hold = true;
       point.arc_m = hold.arc_m;
+      point.spare_before_m = hold.spare_before_m;
+      point.spare_after_m = hold.spare_after_m;
       point.bites_before = bites_before;
       chain_.push_back(point);
     }
@@ -145,8 +152,9 @@ void ThreadBody::build_chain(const TissueState& tissue, std::span<const NeedleBo
     const std::size_t first = chain_.size();
     add_point(now.entry, now, b);
     chain_.back().puncture = chain_.back().inward = true;
-    if (b == 0 && ends && description_.tail == scene::ThreadTail::kAnchored)
-      chain_.back().hold = true;  // the knot, at arc 0
+    // The knot, at arc 0. A jaw that holds the thread before it has the tail in hand.
+    if (chain_.size() == 1 && ends && description_.tail == scene::ThreadTail::kAnchored)
+      chain_.back().hold = true;
     if (path)
       for (const MaterialPoint& inner : now.inner) add_point(inner, now, b);
     if (!now.open) {
@@ -189,6 +197,7 @@ void ThreadBody::build_chain(const TissueState& tissue, std::span<const NeedleBo
         span.tension_n = before.tension_n;
         span.taut = before.taut;
         span.clamped = before.clamped;
+        span.compliance_m_per_n = before.compliance_m_per_n;
       }
     spans_.push_back(span);
   };
@@ -203,9 +212,15 @@ void ThreadBody::build_chain(const TissueState& tissue, std::span<const NeedleBo
     // A span is named after what holds it on the head's side.
     const auto name =
         chain_[at(i)].kind == Kind::kTool ? 16 + static_cast<std::uint64_t>(chain_[at(i)].body) : 2;
-    if (before >= 0) add_span(before, i, chain_[at(i)].arc_m - chain_[at(before)].arc_m, name);
+    if (before >= 0) add_span(before, i, held_length_m(before, i), name);
     before = i;
   }
+}
+
+/// Length of the thread between two holds.
+double ThreadBody::held_length_m(int first, int last) const {
+  const Point &from = chain_[at(first)], &to = chain_[at(last)];
+  return to.arc_m - from.arc_m + from.spare_after_m + to.spare_before_m;
 }
 
 double ThreadBody::counted_length_m(int first, int last) const {
@@ -256,51 +271,67 @@ void ThreadBody::drop_bite(bool at_tail, std::span<NeedleBody> needles) {
   }
 }
 
-/// Draws thread from free ends as the spans need it, and unthreads what they have passed.
+/// Draws thread from free ends, and back out of them, as the holds need it; unthreads what an end
+/// has passed.
 void ThreadBody::feed(const TissueState& tissue, std::span<NeedleBody> needles,
                       std::span<const ToolBody> tools, double time_s, std::vector<Event>& events) {
   if (description_.ends == scene::ThreadEnds::kNone) return;
-  const auto pull = [&](bool at_tail) {
-    while (bite_count() > 0) {
-      const int n = static_cast<int>(chain_.size());
-      int hold = -1;
-      for (int i = 0; i < n; ++i) {
-        const int k = at_tail ? i : n - 1 - i;
-        if (chain_[at(k)].hold) {
-          hold = k;
-          break;
-        }
+  const bool free_tail = description_.tail == scene::ThreadTail::kFree,
+             free_head = description_.head == scene::ThreadHead::kFree;
+  while (bite_count() > 0) {
+    const auto is_puncture = [](const Point& point) { return point.puncture; };
+    const auto is_hold = [](const Point& point) { return point.hold; };
+    const auto first = std::find_if(chain_.begin(), chain_.end(), is_puncture);
+    const auto last = std::find_if(chain_.rbegin(), chain_.rend(), is_puncture).base() - 1;
+    const auto counted = [&](auto from, auto to) {
+      return counted_length_m(static_cast<int>(from - chain_.begin()),
+                              static_cast<int>(to - chain_.begin()));
+    };
+    // Between the tail's end and the first puncture: no more than the next hold leaves, no less
+    // than a jaw has drawn out.
+    if (free_tail) {
+      if (!ends_known_) tail_out_m_ = std::numeric_limits<double>::infinity();
+      const auto next = std::find_if(first, chain_.end(), is_hold);
+      if (next != chain_.end())
+        tail_out_m_ = std::min(tail_out_m_, next->arc_m - counted(first, next));
+      const auto before = std::find_if(std::make_reverse_iterator(first), chain_.rend(), is_hold);
+      if (before != chain_.rend()) {
+        const double drawn_m = before->arc_m + counted(before.base() - 1, first);
+        tail_out_m_ = std::isfinite(tail_out_m_) ? std::max(tail_out_m_, drawn_m) : drawn_m;
       }
-      if (hold < 0) return;
-      int first = -1;  // the puncture nearest to the end
-      for (int i = 0; i < n && first < 0; ++i) {
-        const int k = at_tail ? i : n - 1 - i;
-        if (chain_[at(k)].puncture) first = k;
-      }
-      if (first < 0 || (at_tail ? hold <= first : hold >= first)) return;  // held before it
-      const double arc =
-          at_tail ? chain_[at(hold)].arc_m : description_.length_m - chain_[at(hold)].arc_m;
-      const double used = at_tail ? counted_length_m(first, hold) : counted_length_m(hold, first);
-      double& out = at_tail ? tail_out_m_ : head_out_m_;
-      out = ends_known_ ? std::min(out, arc - used) : arc - used;
-      if (out > 0.0) return;
-      const Bite& gone = bite(at_tail ? 0 : bite_count() - 1);
-      if (gone.open) {  // its needle is still in it
-        out = 0.0;
-        return;
-      }
-      const Vec3 place = (at_tail ? gone.entry : gone.exit).position(tissue.positions_m());
-      events.push_back({EventKind::kUnthread, time_s, description_.name,
-                        scene_->tissues[at(gone.tissue)].name, place, 0.0});
-      drop_bite(at_tail, needles);
-      world_changed_ = true;
-      build_chain(tissue, needles, tools, time_s);
-      out = std::numeric_limits<double>::infinity();  // what is left shows at the next puncture
     }
-  };
-  if (description_.tail == scene::ThreadTail::kFree) pull(true);
-  if (description_.head == scene::ThreadHead::kFree) pull(false);
-  ends_known_ = bite_count() > 0;
+    if (free_head) {
+      if (!ends_known_) head_out_m_ = std::numeric_limits<double>::infinity();
+      const auto before =
+          std::find_if(std::make_reverse_iterator(last + 1), chain_.rend(), is_hold);
+      const auto whole_m = description_.length_m;
+      if (before != chain_.rend())
+        head_out_m_ =
+            std::min(head_out_m_, whole_m - before->arc_m - counted(before.base() - 1, last));
+      const auto next = std::find_if(last, chain_.end(), is_hold);
+      if (next != chain_.end()) {
+        const double drawn_m = whole_m - next->arc_m + counted(last, next);
+        head_out_m_ = std::isfinite(head_out_m_) ? std::max(head_out_m_, drawn_m) : drawn_m;
+      }
+    }
+    ends_known_ = true;
+    const bool at_tail = free_tail && tail_out_m_ <= 0.0;
+    if (!at_tail && !(free_head && head_out_m_ <= 0.0)) return;
+    const Bite& gone = bite(at_tail ? 0 : bite_count() - 1);
+    if (gone.open) {  // its needle is still in it
+      tail_out_m_ = std::max(tail_out_m_, 0.0);
+      return;
+    }
+    const Vec3 place = (at_tail ? gone.entry : gone.exit).position(tissue.positions_m());
+    events.push_back({EventKind::kUnthread, time_s, description_.name,
+                      scene_->tissues[at(gone.tissue)].name, place, 0.0});
+    drop_bite(at_tail, needles);
+    world_changed_ = true;
+    build_chain(tissue, needles, tools, time_s);
+    // What is left shows at the next puncture.
+    (at_tail ? tail_out_m_ : head_out_m_) = std::numeric_limits<double>::infinity();
+  }
+  ends_known_ = false;
 }
 
 void ThreadBody::update(const TissueState& tissue, std::span<NeedleBody> needles,
@@ -317,6 +348,7 @@ void ThreadBody::update(const TissueState& tissue, std::span<NeedleBody> needles
 void ThreadBody::follow(const TissueState& tissue, std::span<const NeedleBody> needles,
                         std::span<const ToolBody> tools, double time_s) {
   build_chain(tissue, needles, tools, time_s);
+  draw();
 }
 
 /// Lays out what is seen, and how far along the thread each point of it is.
@@ -330,8 +362,8 @@ void ThreadBody::draw() {
         if (first < 0) first = i;
         last = i;
       }
-    const auto add = [&](const Vec3& position, double arc, int bites, double tension) {
-      drawn_.push_back({position, std::clamp(arc, 0.0, description_.length_m), bites, tension});
+    const auto add = [&](const Vec3& position, double arc, int bites, int point) {
+      drawn_.push_back({position, std::clamp(arc, 0.0, description_.length_m), bites, point});
     };
     const auto hang = [&](const Point& from, double length) {
       return Vec3(from.position_m + length * hanging_);
@@ -341,17 +373,15 @@ void ThreadBody::draw() {
     double arc = first == 0                                      ? chain_[0].arc_m
                  : description_.tail == scene::ThreadTail::kFree ? tail_out_m_
                                                                  : 0.0;
-    if (first > 0 && bite_count() > 0 && !std::isfinite(arc)) arc = 0.0;
-    if (arc > 0.0) add(hang(chain_[0], arc), 0.0, 0, 0.0);
+    if (!std::isfinite(arc)) arc = 0.0;
+    if (arc > 0.0) add(hang(chain_[0], arc), 0.0, 0, -1);
     std::size_t span = 0;
     for (int i = 0; i < n; ++i) {
       const Point& point = chain_[at(i)];
       if (point.hold) arc = point.arc_m;
       while (span < spans_.size() && spans_[span].last <= i) ++span;
       const bool spanned = span < spans_.size() && spans_[span].first <= i;
-      const double tension = spanned ? spans_[span].tension_n : 0.0;
-      add(point.position_m, arc, point.bites_before + (point.puncture && !point.inward ? 1 : 0),
-          tension);
+      add(point.position_m, arc, point.bites_before + (point.puncture && !point.inward ? 1 : 0), i);
       if (i + 1 == n) break;
       const Vec3 d = chain_[at(i + 1)].position_m - point.position_m;
       double piece = point.pulls_next ? segment_length(d).length_m : point.fixed_length_m;
@@ -364,29 +394,30 @@ void ThreadBody::draw() {
           for (int k = 1; k < kSagPieces; ++k) {
             const double t = static_cast<double>(k) / kSagPieces;
             add(point.position_m + t * d + 4.0 * t * (1.0 - t) * depth * hanging_, arc + t * whole,
-                point.bites_before + (point.puncture && !point.inward ? 1 : 0), tension);
+                point.bites_before + (point.puncture && !point.inward ? 1 : 0), i);
           }
         }
         piece = whole;
       }
       arc += piece;
+      // A span that is stretched has less thread than it is long.
+      if (spanned) arc = std::min(arc, chain_[at(spans_[span].last)].arc_m);
     }
     const double rest = last == n - 1 && chain_[at(n - 1)].kind == Kind::kNeedle
                             ? 0.0
                             : description_.length_m - arc;
     if (rest > 1e-6)
       add(hang(chain_[at(n - 1)], rest), description_.length_m, static_cast<int>(bite_count()),
-          0.0);
+          n - 1);
     // A thread that hangs on its needle only: all of it is tail.
     if (n == 1 && chain_[0].kind == Kind::kNeedle && drawn_.size() == 1)
-      drawn_.insert(drawn_.begin(), {hang(chain_[0], description_.length_m), 0.0, 0, 0.0});
+      drawn_.insert(drawn_.begin(), {hang(chain_[0], description_.length_m), 0.0, 0, -1});
     return;
   }
   double arc = 0.0;
   for (int i = 0; i < n; ++i) {
     const Point& point = chain_[at(i)];
-    drawn_.push_back(
-        {point.position_m, arc, point.bites_before, spans_.empty() ? 0.0 : spans_[0].tension_n});
+    drawn_.push_back({point.position_m, arc, point.bites_before, i});
     if (i + 1 < n) arc += (chain_[at(i + 1)].position_m - point.position_m).norm();
   }
 }
@@ -413,13 +444,25 @@ void ThreadBody::touch(ConstraintRows& rows, constraints::Row& row, const Point&
 void ThreadBody::add_rows(std::span<const NeedleBody> needles, std::span<const ToolBody> tools,
                           ConstraintRows& rows) {
   for (Span& span : spans_) {
+    double bound = description_.tension_max_n, compliance = kLengthCompliance_m_per_n;
+    span.weakest = -1;
+    for (const int end : {span.first, span.last}) {
+      const Point& hold = chain_[at(end)];
+      if (hold.kind != Kind::kTool) continue;
+      const ToolBody& tool = tools[at(hold.body)];
+      compliance += 1.0 / tool.description().grip_stiffness_n_per_m;
+      if (tool.thread_tension_max_n() > bound) continue;
+      bound = tool.thread_tension_max_n();
+      span.weakest = end;
+    }
     // Across each piece: the rows of T H.
-    if (span.tension_n > kTensionFloor_n) {
+    const double tension_n = std::min(span.tension_n, bound);
+    if (tension_n > kTensionFloor_n) {
       for (int i = span.first; i < span.last; ++i) {
         const Point &from = chain_[at(i)], &to = chain_[at(i + 1)];
         if (!from.pulls_next) continue;
         const auto piece = segment_length(to.position_m - from.position_m);
-        const double compliance = 1.0 / (span.tension_n * piece.curvature_per_m);
+        const double across_m_per_n = 1.0 / (tension_n * piece.curvature_per_m);
         std::array<Vec3, 3> axes{Vec3::UnitX(), Vec3::UnitY(), Vec3::UnitZ()};
         std::size_t count = 3;
         if (!piece.is_short) {
@@ -428,7 +471,7 @@ void ThreadBody::add_rows(std::span<const NeedleBody> needles, std::span<const T
           count = 2;
         }
         for (std::size_t k = 0; k < count; ++k) {
-          constraints::Row& row = rows.add(Bounds::bilateral(), 0.0, compliance);
+          constraints::Row& row = rows.add(Bounds::bilateral(), 0.0, across_m_per_n);
           double tissue_part = 0.0;
           touch(rows, row, to, axes[k], needles, tools, tissue_part);
           touch(rows, row, from, -axes[k], needles, tools, tissue_part);
@@ -436,15 +479,8 @@ void ThreadBody::add_rows(std::span<const NeedleBody> needles, std::span<const T
         }
       }
     }
-    double length = 0.0, bound = description_.tension_max_n, compliance = kLengthCompliance_m_per_n;
+    double length = 0.0;
     int pieces = 0;
-    for (const int end : {span.first, span.last}) {
-      const Point& hold = chain_[at(end)];
-      if (hold.kind != Kind::kTool) continue;
-      const ToolBody& tool = tools[at(hold.body)];
-      bound = std::min(bound, tool.description().grip_force_max_n);
-      compliance += 1.0 / tool.description().grip_stiffness_n_per_m;
-    }
     span.row = rows.size();
     constraints::Row& row = rows.add(Bounds::unilateral(bound), 0.0, compliance);
     row.key = span.key;
@@ -469,7 +505,9 @@ void ThreadBody::add_rows(std::span<const NeedleBody> needles, std::span<const T
         touch(rows, row, chain_[at(i)], gradient, needles, tools, tissue_part);
       gradient_before = gradient_after;
     }
-    const double gap = std::max(span.length_m - length, -kShorteningMax_m * pieces);
+    span.compliance_m_per_n = compliance;
+    const double carried_m = compliance * span.tension_n;  // what the jaws' grips have given way
+    const double gap = std::max(span.length_m - length, -(carried_m + kShorteningMax_m * pieces));
     row.target_m = tissue_part - gap;
   }
 }
@@ -485,23 +523,16 @@ void ThreadBody::commit(const ConstraintRows& rows, std::span<const double> lamb
     const Vec3 place = chain_[at(span.last)].position_m;
     if (states[row] == constraints::RowState::kUpper && gap_m[row] < 0.0) {
       span.overlength_m = -gap_m[row];
-      // A jaw that cannot hold the tension lets thread through.
-      int slipping = -1;
-      for (const int end : {span.first, span.last}) {
-        const Point& hold = chain_[at(end)];
-        if (hold.kind == Kind::kTool && tools_bound(hold.body) <= rows[span.row].bounds.upper_n)
-          slipping = end;
-      }
+      const int slipping = span.weakest;
+      if (!span.clamped && slipping < 0)
+        events.push_back({EventKind::kLimit, time_s, description_.name, "", place, span.tension_n});
       if (slipping >= 0) {
-        for (Hold& hold : holds_)
-          if (hold.tool == chain_[at(slipping)].body)
-            hold.arc_m += slipping == span.last ? span.overlength_m : -span.overlength_m;
+        const int tool = chain_[at(slipping)].body;
+        if (tells_of_slip(tool))
+          events.push_back({EventKind::kGripSlip, time_s, scene_->tools[at(tool)].name,
+                            description_.name, place, span.tension_n});
+        slip(tool, slipping == span.last ? span.overlength_m : -span.overlength_m);
       }
-      if (!span.clamped)
-        events.push_back(
-            {slipping >= 0 ? EventKind::kGripSlip : EventKind::kLimit, time_s,
-             slipping >= 0 ? scene_->tools[at(chain_[at(slipping)].body)].name : description_.name,
-             slipping >= 0 ? description_.name : std::string(), place, span.tension_n});
       span.clamped = true;
     } else if (span.tension_n < 0.9 * rows[span.row].bounds.upper_n) {
       span.clamped = false;
@@ -518,7 +549,42 @@ void ThreadBody::commit(const ConstraintRows& rows, std::span<const double> lamb
   }
 }
 
-double ThreadBody::tools_bound(int tool) const { return scene_->tools[at(tool)].grip_force_max_n; }
+/// Whether this is the first slip in this grip.
+bool ThreadBody::tells_of_slip(int tool) {
+  for (Hold& hold : holds_)
+    if (hold.tool == tool) return !std::exchange(hold.slip_told, true);
+  return false;
+}
+
+/// Lets thread through a jaw that cannot hold its tension, up to the next one or off its end.
+void ThreadBody::slip(int tool, double distance_m) {
+  const auto hold =
+      std::find_if(holds_.begin(), holds_.end(), [&](const Hold& h) { return h.tool == tool; });
+  if (hold == holds_.end()) return;
+  const double arc_m = hold->arc_m + distance_m;
+  const bool first = hold == holds_.begin(), last = hold + 1 == holds_.end();
+  const bool knotted = chain_.front().hold && chain_.front().kind == Kind::kTissue;
+  const bool swaged = chain_.back().kind == Kind::kNeedle;
+  if ((arc_m < 0.0 && first && !knotted) || (arc_m > description_.length_m && last && !swaged)) {
+    holds_.erase(hold);
+    world_changed_ = true;
+    return;
+  }
+  hold->arc_m = std::clamp(arc_m, first ? 0.0 : (hold - 1)->arc_m,
+                           last ? description_.length_m : (hold + 1)->arc_m);
+}
+
+bool ThreadBody::held_by(int tool) const {
+  return std::any_of(holds_.begin(), holds_.end(),
+                     [&](const Hold& hold) { return hold.tool == tool; });
+}
+
+/// The span that the piece from a point of the chain to the next belongs to, or null.
+const ThreadBody::Span* ThreadBody::span_from(int point) const {
+  for (const Span& span : spans_)
+    if (span.first <= point && point < span.last) return &span;
+  return nullptr;
+}
 
 double ThreadBody::tension_n() const {
   double largest = 0.0;
@@ -531,19 +597,54 @@ std::optional<ThreadGrasp> ThreadBody::nearest(const Vec3& point_m, double radiu
   if (description_.ends == scene::ThreadEnds::kNone) return best;
   for (std::size_t i = 0; i + 1 < drawn_.size(); ++i) {
     const Drawn &a = drawn_[i], &b = drawn_[i + 1];
+    if (a.point >= 0 && chain_[at(a.point)].inside_next) continue;  // no jaw reaches in there
     const Vec3 d = b.position_m - a.position_m;
     const double share =
         d.isZero() ? 0.0 : std::clamp(d.dot(point_m - a.position_m) / d.squaredNorm(), 0.0, 1.0);
     const Vec3 p = a.position_m + share * d;
     const double distance = (p - point_m).norm();
     if (distance > radius_m || (best && distance >= best->distance_m)) continue;
-    best = ThreadGrasp{distance, p, std::lerp(a.arc_m, b.arc_m, share), a.bites_before};
+    best = ThreadGrasp{distance, p, std::lerp(a.arc_m, b.arc_m, share), a.bites_before, a.point};
   }
   return best;
 }
 
 void ThreadBody::grip(int tool, const ThreadGrasp& grasp) {
-  const Hold hold{tool, grasp.arc_m, grasp.bites_before};
+  Hold hold;
+  hold.tool = tool;
+  hold.arc_m = grasp.arc_m;
+  hold.bites_before = grasp.bites_before;
+  // A grip starts without force of its own: on either side the thread is as long as it takes to
+  // carry on with the tension there was.
+  const Span* const span = span_from(grasp.point);
+  const double tension_n = span != nullptr ? span->tension_n : 0.0;
+  const auto stretch_m = [&](int holder) {
+    return tension_n / scene_->tools[at(holder)].grip_stiffness_n_per_m;
+  };
+  const auto spare_m = [&](const Point& end, double counted_m, double held_m) {
+    const double stretched_m = tension_n * kLengthCompliance_m_per_n + stretch_m(tool) +
+                               (end.kind == Kind::kTool ? stretch_m(end.body) : 0.0);
+    const double missing_m = counted_m - stretched_m - held_m;
+    return tension_n > 0.0 ? missing_m : std::max(0.0, missing_m);
+  };
+  const int n = static_cast<int>(chain_.size()), next = grasp.point + 1;
+  for (int i = grasp.point; i >= 0; --i) {
+    const Point& end = chain_[at(i)];
+    if (!end.hold) continue;
+    const Vec3 piece = grasp.point_m - chain_[at(grasp.point)].position_m;
+    hold.spare_before_m =
+        spare_m(end, counted_length_m(i, grasp.point) + segment_length(piece).length_m,
+                hold.arc_m - end.arc_m + end.spare_after_m);
+    break;
+  }
+  for (int i = next; i < n; ++i) {
+    const Point& end = chain_[at(i)];
+    if (!end.hold) continue;
+    const Vec3 piece = chain_[at(next)].position_m - grasp.point_m;
+    hold.spare_after_m = spare_m(end, segment_length(piece).length_m + counted_length_m(next, i),
+                                 end.arc_m - hold.arc_m + end.spare_before_m);
+    break;
+  }
   holds_.insert(std::upper_bound(holds_.begin(), holds_.end(), hold,
                                  [](const Hold& a, const Hold& b) { return a.arc_m < b.arc_m; }),
                 hold);
@@ -563,7 +664,8 @@ void ThreadBody::report(const TissueState& tissue, ThreadState& state) const {
   state.slack_m = state.overlength_m = 0.0;
   state.taut = false;
   for (const Span& span : spans_) {
-    const double spare = span.length_m - counted_length_m(span.first, span.last);
+    const double spare = span.length_m + span.compliance_m_per_n * span.tension_n -
+                         counted_length_m(span.first, span.last);
     state.slack_m += std::max(spare, 0.0);
     state.overlength_m = std::max(state.overlength_m, -spare);
     state.taut = state.taut || span.tension_n > 0.0;
@@ -589,7 +691,9 @@ void ThreadBody::report(const TissueState& tissue, ThreadState& state) const {
   for (std::size_t i = drawn_.size(); i-- > 0;) {
     state.course_m.push_back(drawn_[i].position_m);
     state.arc_length_m.push_back(whole - drawn_[i].arc_m);
-    if (i > 0) state.segment_tension_n.push_back(drawn_[i - 1].tension_n);
+    if (i == 0) continue;
+    const Span* const span = span_from(drawn_[i - 1].point);
+    state.segment_tension_n.push_back(span != nullptr ? span->tension_n : 0.0);
   }
   state.punctures.clear();
   const std::span<const Vec3> rest = tissue.model().vertices_m;

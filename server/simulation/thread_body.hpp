@@ -43,14 +43,16 @@ struct ThreadGrasp {
   Vec3 point_m = Vec3::Zero();
   double arc_m = 0.0;    ///< along the thread from its tail
   int bites_before = 0;  ///< bites between it and the tail
+  int point = -1;        ///< of the chain, the last before it
 };
 
 /// Thread: simulation. Allocates: when a thread's course grows longer than ever before.
 class ThreadBody {
  public:
-  ThreadBody(const scene::Scene& scene, int index, const TissueState& tissue);
+  ThreadBody(const scene::Scene& scene, int index, const TissueState& tissue,
+             std::span<const NeedleBody> needles);
 
-  void reset(const TissueState& tissue);
+  void reset(const TissueState& tissue, std::span<const NeedleBody> needles);
 
   /// Takes over the bites that the needle's tail has passed, gives way to what was pulled, and lays
   /// out the course. Call once a substep after the needles were tracked.
@@ -73,6 +75,8 @@ class ThreadBody {
   [[nodiscard]] std::optional<ThreadGrasp> nearest(const Vec3& point_m, double radius_m) const;
   void grip(int tool, const ThreadGrasp& grasp);
   void release(int tool);
+  /// False once it has slipped through the jaw, off its end.
+  [[nodiscard]] bool held_by(int tool) const;
 
   [[nodiscard]] const scene::Thread& description() const { return description_; }
   [[nodiscard]] double tension_n() const;
@@ -91,7 +95,8 @@ class ThreadBody {
     int body = -1;  ///< tissue, tool or needle
     Vec3 position_m = Vec3::Zero();
     bool hold = false;
-    double arc_m = 0.0;  ///< of a hold, from the tail
+    double arc_m = 0.0;                                ///< of a hold, from the tail
+    double spare_before_m = 0.0, spare_after_m = 0.0;  ///< of a jaw
     bool puncture = false;
     bool inward = false;  ///< of a puncture: from tail to head it enters
     int bites_before = 0;
@@ -104,20 +109,26 @@ class ThreadBody {
     double length_m = 0.0;    ///< ℓ
     std::uint64_t key = 0;
     int row = -1;
+    int weakest = -1;  ///< point of the chain whose jaw bounds the tension, or −1
     double tension_n = 0.0, overlength_m = 0.0;
+    double compliance_m_per_n = 0.0;  ///< of its row: the grips of its jaws
     bool taut = false, clamped = false;
   };
   struct Hold {
     int tool = -1;
     double arc_m = 0.0;
     int bites_before = 0;
+    bool slip_told = false;
+    /// What the thread on either side is longer than the places of its ends say: what its grip
+    /// gave way when it closed on a taut thread, or the least that a piece counts for.
+    double spare_before_m = 0.0, spare_after_m = 0.0;
   };
   /// A point of the drawn course.
   struct Drawn {
     Vec3 position_m;
     double arc_m;
     int bites_before;
-    double tension_n;  ///< of the piece to the next
+    int point;  ///< of the chain, from which the piece to the next leads on; −1: to its first
   };
 
   void take_path(const TissueState& tissue, NeedleBody& needle);
@@ -128,8 +139,11 @@ class ThreadBody {
             std::span<const ToolBody> tools, double time_s, std::vector<Event>& events);
   void draw();
   [[nodiscard]] double counted_length_m(int first, int last) const;
+  [[nodiscard]] double held_length_m(int first, int last) const;
+  [[nodiscard]] const Span* span_from(int point) const;
   [[nodiscard]] double program_length_m(double time_s) const;
-  [[nodiscard]] double tools_bound(int tool) const;
+  bool tells_of_slip(int tool);
+  void slip(int tool, double distance_m);
   void touch(constraints::ConstraintRows& rows, constraints::Row& row, const Point& point,
              const Vec3& gradient, std::span<const NeedleBody> needles,
              std::span<const ToolBody> tools, double& tissue_part) const;

@@ -15,6 +15,13 @@ using constraints::ConstraintRows;
 
 // The jaw closes above and opens below; between them it stays as it is.
 constexpr double kCloses = 0.6, kOpens = 0.4;
+// A grip that slips carries this share of its limit.
+constexpr double kSlipsBelow = 0.995;
+// A thread that pulls at both ends and still too much when solved again is let down by this.
+constexpr double kSlipsFurther = 0.8;
+// Rows that turn a needle act at this arm, so that they too are in metres and newtons: in radians
+// their compliance against the needle's weak spring would drown all others in rounding.
+constexpr double kTorqueArm_m = 0.01;
 // Rows of a probe at most: the nearest features of the surface.
 constexpr std::size_t kProbeRowsMax = 8;
 constexpr double kProbeComplianceTimesModulus = 1e-4 * 2e5;
@@ -26,7 +33,7 @@ std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 /// Bounds of a slipping grip's row: along the force nearly all of the limit, across it what is
 /// left, so that the magnitude never passes the limit.
 Bounds slip_bounds(std::size_t axis, double limit) {
-  const double bound = limit * (axis == 0 ? 0.995 : 0.07);  // 0.995² + 2 · 0.07² < 1
+  const double bound = limit * (axis == 0 ? kSlipsBelow : 0.07);  // 0.995² + 2 · 0.07² < 1
   return {-bound, bound};
 }
 
@@ -79,10 +86,12 @@ void ToolBody::move(const ToolInput& input, const TissueState& tissue,
                     std::span<NeedleBody> needles, std::span<ThreadBody> threads, double time_s,
                     std::vector<Event>& events) {
   input_ = input;
+  thread_tension_max_n_ = description_.grip_force_max_n;
   if (description_.kind == scene::ToolKind::kProbe) return;
   const bool closes = input.present && (closed_ ? input.jaw > kOpens : input.jaw > kCloses);
   if (closes && !closed_) grasp(tissue, needles, threads, time_s, events);
-  if (!closes && holds()) release(tissue, needles, threads, time_s, events);
+  const bool lost = held_ == Held::kThread && !threads[at(thread_)].held_by(index_);
+  if ((!closes && holds()) || lost) release(tissue, needles, threads, time_s, events);
   closed_ = closes;
 }
 
@@ -102,9 +111,13 @@ void ToolBody::grasp(const TissueState& tissue, std::span<NeedleBody> needles,
   }
   std::optional<ThreadGrasp> thread_grasp;
   for (std::size_t t = 0; t < threads.size(); ++t) {
-    const auto found = threads[t].nearest(input_.position_m, best);
-    if (!found || (held_ != Held::kNothing && found->distance_m >= best)) continue;
-    best = found->distance_m;
+    // Its thickness counts: a thread that lies on tissue comes before the tissue.
+    const double radius = 0.5 * threads[t].description().diameter_m;
+    const auto found = threads[t].nearest(input_.position_m, best + radius);
+    if (!found) continue;
+    const double distance = std::max(0.0, found->distance_m - radius);
+    if (held_ != Held::kNothing && distance >= best) continue;
+    best = distance;
     held_ = Held::kThread;
     thread_ = static_cast<int>(t);
     thread_grasp = found;
@@ -201,11 +214,11 @@ void ToolBody::add_rows(const TissueState& tissue, std::span<NeedleBody> needles
                                                 (input_.orientation * needle_in_tool_).conjugate());
       const auto torque_axes = frame(torque_axis_);
       for (std::size_t axis = 0; axis < 3; ++axis) {
-        const Vec3 e = torque_axes[axis];
-        constraints::Row& row =
-            rows.add(slipping_torque_ ? slip_bounds(axis, description_.grip_torque_max_nm)
-                                      : Bounds::bilateral(),
-                     e.dot(turn), 1.0 / description_.grip_stiffness_nm_per_rad);
+        const Vec3 e = kTorqueArm_m * torque_axes[axis];
+        constraints::Row& row = rows.add(
+            slipping_torque_ ? slip_bounds(axis, description_.grip_torque_max_nm / kTorqueArm_m)
+                             : Bounds::bilateral(),
+            e.dot(turn), kTorqueArm_m * kTorqueArm_m / description_.grip_stiffness_nm_per_rad);
         row.needle = needle_;
         row.needle_jacobian.tail<3>() = e;
         row.tool = index_;
@@ -304,9 +317,23 @@ bool ToolBody::read(const ConstraintRows& rows, std::span<const double> lambda, 
   if (touching_ != touched) world_changed_ = true;
   if (!holds()) return true;
   arm_moment_ = (to_world(anchor_tool_m_) - input_.position_m) * force_n_.transpose();
-  if (!may_revise || held_ == Held::kThread) return true;
+  if (!may_revise) return true;
+  const double force = force_n_.norm();
+  if (held_ == Held::kThread) {
+    if (force <= description_.grip_force_max_n) return true;
+    // Both ends of it may pull, and the rows of T H across it add to them.
+    double tension = 0.0;
+    for (int i = 0; i < rows.size(); ++i)
+      if (rows[i].jacobian_of(index_) != nullptr && rows[i].bounds.lower_n == 0.0)
+        tension = std::max(tension, lambda[at(i)]);
+    const double share = kSlipsBelow * description_.grip_force_max_n / force;
+    const bool again = thread_tension_max_n_ < description_.grip_force_max_n;
+    thread_tension_max_n_ =
+        std::min(share * tension, (again ? kSlipsFurther : 1.0) * thread_tension_max_n_);
+    return false;
+  }
   bool good = true;
-  if (!slipping_force_ && force_n_.norm() > description_.grip_force_max_n) {
+  if (!slipping_force_ && force > description_.grip_force_max_n) {
     slipping_force_ = true;
     force_axis_ = force_n_.normalized();
     good = false;

@@ -51,6 +51,8 @@ class ToolBody {
   [[nodiscard]] std::optional<scene::Pose> needle_target(int needle) const;
 
   [[nodiscard]] const ToolInput& input() const { return input_; }
+  /// The tension at which a thread slips through the jaw: less where two ends of it pull.
+  [[nodiscard]] double thread_tension_max_n() const { return thread_tension_max_n_; }
   [[nodiscard]] int needle() const { return held_ == Held::kNeedle ? needle_ : -1; }
   [[nodiscard]] bool holds() const { return held_ != Held::kNothing; }
   [[nodiscard]] const scene::Tool& description() const { return description_; }
@@ -99,6 +101,7 @@ class ToolBody {
   Vec3 force_n_ = Vec3::Zero(),
        torque_nm_ = Vec3::Zero();  ///< of the grip on the held thing's rows
   bool slip_reported_ = false;
+  double thread_tension_max_n_ = 0.0;
   int first_row_ = 0, rows_ = 0;
   int contacts_ = 0;
   Vec6 wrench_ = Vec6::Zero();

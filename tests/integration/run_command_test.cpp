@@ -118,6 +118,30 @@ TEST(RunCommand, TheRunningSutureComesOutAsPlanned) {
     EXPECT_FALSE(summary["needles"]["needle"]["tip_inside"].get<bool>());
     EXPECT_EQ(summary["needles"]["needle"]["embedded_length_m"].get<double>(), 0.0);
     EXPECT_LT(summary["complementarity_residual_max"].get<double>(), 1e-8);
+    // What the figures say of it.
+    const bool at_rate = rate == std::string("250");  // the scene's
+    const auto& quality = summary["quality"]["thread"];
+    ASSERT_EQ(quality["bites"].size(), 2U * kStitches);
+    for (const auto& bite : quality["bites"]) {
+      EXPECT_GT(bite["depth_m"].get<double>(), 0.6e-3) << bite;   // through a wall of 1.5 mm, the
+      EXPECT_LT(bite["depth_m"].get<double>(), 0.76e-3) << bite;  // middle is 0.75 mm deep
+      // At 60 Hz one needle goes in through the rim itself, and the figure says so.
+      if (at_rate) {
+        EXPECT_GT(bite["edge_distance_m"].get<double>(), 2e-3) << bite;
+      }
+      EXPECT_GT(bite["peak_force_n"].get<double>(), 0.0499) << bite;  // the puncture force
+    }
+    // Eight stitches on circles of 12 and 7 mm are 4.6 and 2.7 mm apart.
+    if (at_rate) {
+      EXPECT_NEAR(quality["bite_spacing_m"]["mean"].get<double>(), 3.65e-3, 0.2e-3);
+    }
+    EXPECT_EQ(quality["handovers"], 2 * kStitches - 1);
+    EXPECT_EQ(quality["needle_drops"], 0);
+    EXPECT_LT(quality["gap_m"].get<double>(), quality["gap_start_m"].get<double>());
+    const auto& wound = summary["wound"]["anastomosis"];
+    EXPECT_LT(wound["gap"]["mean_m"].get<double>(),
+              0.4 * wound["gap_at_rest"]["mean_m"].get<double>());
+    EXPECT_GT(quality["peak_principal_stress_pa"].get<double>(), 1e4);
   }
 }
 
@@ -200,6 +224,22 @@ TEST(RunCommand, TheLastStateHoldsStressPerVertexAndPerTet) {
     EXPECT_LT(stress[at]["rest_position_m"][2].get<double>(), 0.0) << stress;
     EXPECT_GT(stress[at]["rest_position_m"][2].get<double>(), -0.01) << stress;
   }
+}
+
+/// The rims are rings of 4.5 to 6 mm and 3.5 to 5 mm, 1.5 mm apart: they face each other from 4.5
+/// to 5 mm, and there the running suture closes them but for a part between its stitches.
+TEST(RunCommand, TheSummaryTellsTheGapOfTheWound) {
+  const testing::TemporaryFolder folder;
+  const auto result =
+      run({kScene, "--surgeon", kSurgeon, "--out", folder.path("out"), "--rate", "60"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
+  ASSERT_TRUE(summary["quality"].is_object());
+  const auto& wound = summary["wound"]["anastomosis"];
+  EXPECT_NEAR(wound["gap_at_rest"]["max_m"].get<double>(), 1.5e-3, 1e-5);
+  EXPECT_NEAR(wound["gap_at_rest"]["mean_m"].get<double>(), 1.5e-3, 1e-5);
+  EXPECT_LT(wound["gap"]["mean_m"].get<double>(), 0.5e-3);
+  EXPECT_GE(wound["gap"]["max_m"].get<double>(), wound["gap"]["mean_m"].get<double>());
 }
 
 TEST(RunCommand, FaultsAreOneClearError) {

@@ -365,6 +365,33 @@ ContactsView to_contacts(const v1::ContactState& wire) {
   return contacts;
 }
 
+QualityView to_quality(const v1::Quality& wire) {
+  QualityView quality;
+  quality.thread = text_of(wire.thread);
+  quality.epoch = wire.epoch;
+  quality.stamp_ns = wire.stamp_ns;
+  quality.elapsed_s = wire.elapsed_s;
+  quality.needle_path_m = wire.needle_path_m;
+  quality.peak_force_n = wire.peak_force_n;
+  quality.peak_principal_stress_pa = wire.peak_principal_stress_pa;
+  quality.gap_start_m = wire.gap_start_m;
+  quality.gap_m = wire.gap_m;
+  quality.tension_n = wire.tension_n;
+  quality.bite_depth_mean_m = wire.bite_depth_mean_m;
+  quality.bite_depth_spread_m = wire.bite_depth_spread_m;
+  quality.bite_spacing_mean_m = wire.bite_spacing_mean_m;
+  quality.bite_spacing_spread_m = wire.bite_spacing_spread_m;
+  quality.handovers = wire.handovers;
+  quality.needle_drops = wire.needle_drops;
+  quality.bites.reserve(wire.bites._length);
+  for (const v1::Bite& bite : span_of(wire.bites)) {
+    quality.bites.push_back({text_of(bite.body), array_of(bite.entry_m), array_of(bite.exit_m),
+                             bite.depth_m, bite.edge_distance_m, bite.spacing_m,
+                             bite.peak_force_n});
+  }
+  return quality;
+}
+
 v1::CommandKind to_wire(CommandKind kind) noexcept {
   switch (kind) {
     case CommandKind::kPause:

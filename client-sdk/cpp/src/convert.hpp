@@ -17,6 +17,7 @@ namespace suture {
 [[nodiscard]] NeedleView to_needle(const v1::NeedleState& wire);
 [[nodiscard]] ThreadView to_thread(const v1::ThreadState& wire);
 [[nodiscard]] ContactsView to_contacts(const v1::ContactState& wire);
+[[nodiscard]] QualityView to_quality(const v1::Quality& wire);
 [[nodiscard]] v1::CommandKind to_wire(CommandKind kind) noexcept;
 
 template <std::size_t N>

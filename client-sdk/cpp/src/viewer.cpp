@@ -50,6 +50,7 @@ struct Viewer::State {
     needle.open(static_cast<bool>(callbacks.on_needle), mesh, waitset);
     thread.open(static_cast<bool>(callbacks.on_thread), mesh, waitset);
     contacts.open(static_cast<bool>(callbacks.on_contacts), mesh, waitset);
+    quality.open(static_cast<bool>(callbacks.on_quality), mesh, waitset);
     worker = std::thread([this] { work(); });
   }
 
@@ -73,6 +74,7 @@ struct Viewer::State {
         needle.drain([&](const auto& wire) { callbacks.on_needle(to_needle(wire)); });
         thread.drain([&](const auto& wire) { callbacks.on_thread(to_thread(wire)); });
         contacts.drain([&](const auto& wire) { callbacks.on_contacts(to_contacts(wire)); });
+        quality.drain([&](const auto& wire) { callbacks.on_quality(to_quality(wire)); });
         tool.drain([&](const auto& wire) { callbacks.on_tool(to_tool(wire)); });
         event.drain([&](const auto& wire) { callbacks.on_event(to_event(wire)); });
       }
@@ -92,6 +94,7 @@ struct Viewer::State {
   Subscription<v1::NeedleState> needle;
   Subscription<v1::ThreadState> thread;
   Subscription<v1::ContactState> contacts;
+  Subscription<v1::Quality> quality;
   WaitSet waitset;  // after the readers: destroyed before them
   std::atomic<bool> leaving{false};
   std::exception_ptr thrown;  // the worker's, until it is joined

@@ -609,5 +609,58 @@ name = "forceps"
   viewer.close();
 }
 
+TEST_F(Serve, TellsTheQualityOfASutureWhenAFigureChanges) {
+  std::ofstream(scene_, std::ios::app) << R"(
+[[needle]]
+name = "needle"
+shape = "straight"
+pose = { position_m = [0.01, 0.01, 0.06], orientation = [0, 0, 0, 1] }
+[[thread]]
+name = "thread"
+needle = "needle"
+tail = "free"
+[[tool]]
+name = "forceps"
+)";
+  start_server();
+  RawDevice forceps(session_, "forceps");
+  forceps.move_to(0.02, 0.01, 0.06);  // at the needle, in the air
+  struct Told {
+    double path_m, gap_m;
+    std::uint32_t drops;
+    std::int64_t stamp_ns;
+  };
+  std::mutex mutex;
+  std::vector<Told> told;
+  suture::ViewerCallbacks callbacks;
+  callbacks.on_quality = [&](const suture::QualityView& view) {
+    const std::lock_guard lock(mutex);
+    EXPECT_EQ(view.thread, "thread");
+    told.push_back({view.needle_path_m, view.gap_m, view.needle_drops, view.stamp_ns});
+  };
+  suture::SessionOptions options;
+  options.domain = session_.domain;
+  options.session = session_.session;
+  options.timeout = std::chrono::seconds(20);
+  suture::Viewer viewer(options, callbacks);
+  const auto tells = [&](auto&& what) {
+    return eventually([&] {
+      const std::lock_guard lock(mutex);
+      return !told.empty() && what(told.back());
+    });
+  };
+  ASSERT_TRUE(tells([](const Told& q) { return q.path_m == 0.0 && q.drops == 0; }));
+  forceps.spoil([](suture::v1::ToolPose& pose) { pose.jaw = 1.0F; });
+  ASSERT_TRUE(saw_event(suture_v1_EVENT_GRASP));
+  forceps.move_to(0.02, 0.01, 0.061);
+  ASSERT_TRUE(tells([](const Told& q) { return q.path_m > 0.9e-3 && q.drops == 0; }));
+  forceps.spoil(nullptr);  // the jaw opens
+  ASSERT_TRUE(tells([](const Told& q) { return q.drops > 0; })) << server_->output();
+  viewer.close();
+  EXPECT_TRUE(std::isnan(told.back().gap_m));    // the scene has no wound
+  for (std::size_t i = 1; i < told.size(); ++i)  // the stamp may come late after the decision
+    EXPECT_GE(told[i].stamp_ns - told[i - 1].stamp_ns, 450 * kMs);
+}
+
 }  // namespace
 }  // namespace sutured

@@ -55,7 +55,8 @@ TEST(ForcePlot, LabelsNoMarkOverTheLabelOfTheLast) {
   ForceTrace trace;
   for (int i = 0; i <= 100; ++i) trace.add(0.6 * i, 0.02 * i);
   const std::array<PlotMark, 3> marks{{{5.0, "first"}, {5.1, "at once"}, {7.0, "later"}}};
-  const std::string svg = force_plot_svg(trace, marks, "many");
+  const PlotCurve curve{"driver", &trace};
+  const std::string svg = force_plot_svg({&curve, 1}, marks, "many");
   EXPECT_THAT(svg, HasSubstr("first"));
   EXPECT_EQ(svg.find("at once"), std::string::npos);
   EXPECT_THAT(svg, HasSubstr("later"));

@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <cmath>
+#include <limits>
 #include <mutex>
 #include <stdexcept>
 
@@ -184,6 +186,69 @@ TEST(Viewer, SeesThreadsAndContacts) {
     const std::lock_guard lock(mutex);
     return seen_thread && seen_contact;
   }));
+  viewer.close();
+}
+
+TEST(Viewer, SeesTheQualityThatWasToldBeforeItCame) {
+  SpringServer server(server_options());
+  const Participant mesh(own_session(), Channel::kMesh);
+  Writer<v1::Quality> writer(mesh);
+  v1::Bite bite{};
+  set_text(bite.body, "vessel");
+  bite.exit_m[1] = 0.5;
+  bite.depth_m = 0.002;
+  bite.edge_distance_m = 0.003;
+  bite.spacing_m = std::numeric_limits<double>::quiet_NaN();
+  bite.peak_force_n = 0.3;
+  v1::Quality quality{};
+  set_text(quality.thread, "thread");
+  quality.epoch = 9;
+  quality.elapsed_s = 1;
+  quality.needle_path_m = 2;
+  quality.peak_force_n = 3;
+  quality.peak_principal_stress_pa = 4;
+  quality.gap_start_m = 5;
+  quality.gap_m = 6;
+  quality.tension_n = 7;
+  quality.bite_depth_mean_m = 8;
+  quality.bite_depth_spread_m = 9;
+  quality.bite_spacing_mean_m = 10;
+  quality.bite_spacing_spread_m = 11;
+  quality.handovers = 12;
+  quality.needle_drops = 13;
+  lend(quality.bites, std::span<const v1::Bite>(&bite, 1));
+  ASSERT_TRUE(writer.write(quality));
+
+  std::atomic<bool> seen{false};
+  ViewerCallbacks callbacks;
+  callbacks.on_quality = [&](const QualityView& got) {
+    EXPECT_EQ(got.thread, "thread");
+    EXPECT_EQ(got.epoch, 9U);
+    EXPECT_EQ(got.elapsed_s, 1);
+    EXPECT_EQ(got.needle_path_m, 2);
+    EXPECT_EQ(got.peak_force_n, 3);
+    EXPECT_EQ(got.peak_principal_stress_pa, 4);
+    EXPECT_EQ(got.gap_start_m, 5);
+    EXPECT_EQ(got.gap_m, 6);
+    EXPECT_EQ(got.tension_n, 7);
+    EXPECT_EQ(got.bite_depth_mean_m, 8);
+    EXPECT_EQ(got.bite_depth_spread_m, 9);
+    EXPECT_EQ(got.bite_spacing_mean_m, 10);
+    EXPECT_EQ(got.bite_spacing_spread_m, 11);
+    EXPECT_EQ(got.handovers, 12U);
+    EXPECT_EQ(got.needle_drops, 13U);
+    EXPECT_EQ(got.bites.size(), 1U);
+    if (got.bites.empty()) return;
+    EXPECT_EQ(got.bites[0].body, "vessel");
+    EXPECT_EQ(got.bites[0].exit_m[1], 0.5);
+    EXPECT_EQ(got.bites[0].depth_m, 0.002);
+    EXPECT_EQ(got.bites[0].edge_distance_m, 0.003);
+    EXPECT_TRUE(std::isnan(got.bites[0].spacing_m));
+    EXPECT_EQ(got.bites[0].peak_force_n, 0.3);
+    seen = true;
+  };
+  Viewer viewer(session_options(), callbacks);
+  EXPECT_TRUE(eventually([&] { return seen.load(); }));
   viewer.close();
 }
 

@@ -120,5 +120,23 @@ TEST_F(ComplianceOfABlock, WalksAVertexOnceAndForgetsItWhenIdle) {
   EXPECT_NEAR(w(0, 0), inverse_(180, 180), 1e-12);
 }
 
+TEST_F(ComplianceOfABlock, SumsDoNotDependOnWhatWasInUseBefore) {
+  Compliance fresh(factor_), used(factor_);
+  for (int trial = 0; trial < 10; ++trial)
+    used.assemble(random_rows(30), std::vector<NeedleMobility>(1));
+  const ConstraintRows rows = random_rows(30);
+  std::vector<double> lambda(30);
+  for (double& l : lambda) l = uniform_(random_);
+  std::vector<std::vector<double>> displacement_m;
+  for (Compliance* compliance : {&fresh, &used}) {
+    compliance->assemble(rows, std::vector<NeedleMobility>(1));
+    compliance->apply(rows, lambda);
+    std::vector<double> u(static_cast<std::size_t>(inverse_.rows()));
+    compliance->displacements_m(std::vector<double>(u.size(), 0.0), u);
+    displacement_m.push_back(u);
+  }
+  EXPECT_EQ(displacement_m[0], displacement_m[1]);
+}
+
 }  // namespace
 }  // namespace sutured::constraints

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <limits>
 #include <memory>
 #include <string>
@@ -117,6 +118,7 @@ scene::Scene named_scene() {
   scene.tools[1].name = "assistant";
   scene.threads.resize(1);
   scene.threads[0].name = "thread";
+  scene.threads[0].diameter_m = 0.0002;
   return scene;
 }
 
@@ -166,6 +168,7 @@ TEST(SetThread, LendsTheCourseAndKeepsEveryFigure) {
   set_thread(wire, named_scene(), 0, state, punctures);
   EXPECT_EQ(suture::text_of(wire.thread), "thread");
   EXPECT_EQ(wire.length_m, 0.45);
+  EXPECT_EQ(wire.diameter_m, 0.0002);
   EXPECT_EQ(wire.tension_n, 0.2);
   EXPECT_EQ(wire.slack_m, 0.01);
   EXPECT_TRUE(wire.taut);
@@ -206,6 +209,48 @@ TEST(SetContacts, NamesBothSides) {
   EXPECT_EQ(suture::text_of(got[1].other), "needle");
   set_contacts(wire, named_scene(), {}, points);
   EXPECT_EQ(wire.points._length, 0U);
+}
+
+TEST(SetQuality, KeepsEveryFigure) {
+  simulation::ThreadQuality quality;
+  quality.elapsed_s = 1;
+  quality.needle_path_m = 2;
+  quality.peak_force_n = 3;
+  quality.peak_principal_stress_pa = 4;
+  quality.gap_start = {0.5, 5};
+  quality.gap = {0.6, 6};
+  quality.tension_n = 7;
+  quality.depth_m = {8, 9};
+  quality.spacing_m = {10, 11};
+  quality.handovers = 12;
+  quality.needle_drops = 13;
+  quality.bites = {{1, {1, 2, 3}, {4, 5, 6}, 14, 15, simulation::kNoFigure, 16}};
+  std::vector<suture::v1::Bite> bites(3);
+  suture::v1::Quality wire{};
+  set_quality(wire, named_scene(), 0, quality, bites);
+  EXPECT_EQ(suture::text_of(wire.thread), "thread");
+  EXPECT_EQ(wire.elapsed_s, 1);
+  EXPECT_EQ(wire.needle_path_m, 2);
+  EXPECT_EQ(wire.peak_force_n, 3);
+  EXPECT_EQ(wire.peak_principal_stress_pa, 4);
+  EXPECT_EQ(wire.gap_start_m, 5);  // the largest
+  EXPECT_EQ(wire.gap_m, 6);
+  EXPECT_EQ(wire.tension_n, 7);
+  EXPECT_EQ(wire.bite_depth_mean_m, 8);
+  EXPECT_EQ(wire.bite_depth_spread_m, 9);
+  EXPECT_EQ(wire.bite_spacing_mean_m, 10);
+  EXPECT_EQ(wire.bite_spacing_spread_m, 11);
+  EXPECT_EQ(wire.handovers, 12U);
+  EXPECT_EQ(wire.needle_drops, 13U);
+  ASSERT_EQ(wire.bites._length, 1U);
+  const suture::v1::Bite& bite = wire.bites._buffer[0];
+  EXPECT_EQ(suture::text_of(bite.body), "distal");
+  EXPECT_EQ(bite.entry_m[2], 3);
+  EXPECT_EQ(bite.exit_m[0], 4);
+  EXPECT_EQ(bite.depth_m, 14);
+  EXPECT_EQ(bite.edge_distance_m, 15);
+  EXPECT_TRUE(std::isnan(bite.spacing_m));
+  EXPECT_EQ(bite.peak_force_n, 16);
 }
 
 }  // namespace

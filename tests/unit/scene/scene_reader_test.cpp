@@ -189,23 +189,34 @@ TEST_F(SceneReader, SpreadsLoadsSoThatTheyAddUp) {
   EXPECT_LT((loads[3].force_n[1] - Vec3(1, 0, 0)).norm(), 1e-12);
 }
 
-TEST_F(SceneReader, ReadsThreadsAndSaysThatTheyAreNotSimulatedYet) {
+TEST_F(SceneReader, ReadsThreads) {
+  const std::string punctures =
+      "punctures = [{ tissue = \"flap\", vertices = [0, 1, 2], barycentric = [0.2, 0.3, 0.5] },"
+      " { tissue = \"flap\", point_m = [0.0025, 0.0025, 0] },"
+      " { tissue = \"flap\", point_m = [0.003, 0.0025, 0] },"
+      " { tissue = \"flap\", point_m = [0.003, 0.002, 0] }]\n";
   const Scene scene = read(
       std::string(kTissue) + kFixed +
       "[[needle]]\nname = \"n\"\n"
       "[[thread]]\nname = \"t\"\nneedle = \"n\"\nlength_m = 0.3\ntail = \"free\"\n"
-      "punctures = [{ tissue = \"flap\", vertices = [0, 1, 2], barycentric = [0.2, 0.3, 0.5] },"
-      " { tissue = \"flap\", point_m = [0.0025, 0.0025, 0] }]\n"
+      "tail_length_m = 0.02\ntension_max_n = 0.7\nmodel = \"path\"\n" +
+      punctures + "[[thread]]\nname = \"u\"\nends = \"none\"\nmodel = \"outside\"\n" + punctures +
       "length_program_m = [[0, 0.05], [1.5, 0.04]]\n"
-      "[[thread]]\nname = \"u\"\nends = \"none\"\n");
-  ASSERT_THAT(scene.threads, SizeIs(2));
+      "[[thread]]\nname = \"v\"\nhead = \"free\"\n");
+  ASSERT_THAT(scene.threads, SizeIs(3));
   const Thread& thread = scene.threads[0];
   EXPECT_EQ(thread.needle, "n");
   EXPECT_EQ(thread.length_m, 0.3);
   EXPECT_EQ(thread.tail, ThreadTail::kFree);
   EXPECT_EQ(thread.ends, ThreadEnds::kHeld);
+  EXPECT_EQ(thread.head, ThreadHead::kSwaged);
+  EXPECT_EQ(thread.model, ThreadModel::kPath);
+  EXPECT_EQ(thread.tail_length_m, 0.02);
+  EXPECT_EQ(thread.tension_max_n, 0.7);
   EXPECT_EQ(scene.threads[1].ends, ThreadEnds::kNone);
-  ASSERT_THAT(thread.punctures, SizeIs(2));
+  EXPECT_EQ(scene.threads[1].model, ThreadModel::kOutside);
+  EXPECT_EQ(scene.threads[2].head, ThreadHead::kFree);
+  ASSERT_THAT(thread.punctures, SizeIs(4));
   for (const Bite& bite : thread.punctures) {
     EXPECT_EQ(bite.tissue, 0);
     EXPECT_NEAR(bite.barycentric.sum(), 1.0, 1e-14);
@@ -213,9 +224,9 @@ TEST_F(SceneReader, ReadsThreadsAndSaysThatTheyAreNotSimulatedYet) {
   // The face is wound outward, and the weights have followed their vertices.
   EXPECT_THAT(thread.punctures[0].vertices, ElementsAre(0, 2, 1));
   EXPECT_EQ(thread.punctures[0].barycentric, Vec3(0.2, 0.5, 0.3));
-  ASSERT_THAT(thread.length_program, SizeIs(2));
-  EXPECT_EQ(thread.length_program[1].time_s, 1.5);
-  EXPECT_THAT(scene.notes, Contains(HasSubstr("thread \"t\" is read and checked, but")));
+  ASSERT_THAT(scene.threads[1].length_program, SizeIs(2));
+  EXPECT_EQ(scene.threads[1].length_program[1].time_s, 1.5);
+  EXPECT_THAT(scene.notes, IsEmpty());
 }
 
 TEST_F(SceneReader, ReadsTheEdgesOfAWound) {
@@ -406,6 +417,16 @@ TEST_F(SceneReader, NamesThePlaceAndTheMendOfEveryFault) {
       {thread + "punctures = [4]\n", "s.toml:14:14: an entry of punctures"},
       {thread + "length_program_m = [[1, 0.1], [1, 0.2]]\n",
        "s.toml:14:31: a row of length_program_m of [[thread]] \"t\" is not later"},
+      {thread + "punctures = [{ tissue = \"flap\", point_m = [0.0025, 0.0025, 0] }]\n",
+       "s.toml:14:13: [[thread]] \"t\" has an odd number of punctures (1), and every bite has two"},
+      {thread + "length_program_m = [[1, 0.1]]\n",
+       "s.toml:14:20: [[thread]] \"t\" has a length program, but hands rule its ends"},
+      {"[[thread]]\nname = \"t\"\nends = \"none\"\n",
+       "s.toml:11:8: [[thread]] \"t\" has no ends and fewer than two bites"},
+      {thread + "head = \"free\"\n",
+       "s.toml:13:10: [[thread]] \"t\" has a needle that rules no end"},
+      {thread + "[[thread]]\nname = \"u\"\nneedle = \"n\"\n",
+       "s.toml:16:10: threads \"t\" and \"u\" hang on the same needle"},
       {thread + "length_program_m = [[1]]\n",
        "s.toml:14:21: a row of length_program_m of [[thread]] \"t\" is not [time_s, length_m]"},
       {"[contact]\nenabled = 1\n", "s.toml:10:11: enabled of [contact] is not true or false"},

@@ -219,6 +219,38 @@ struct ContactsView {
   std::vector<ContactPoint> points;
 };
 
+/// One passage of a thread through a body, in the world at rest.
+struct Bite {
+  std::string_view body;
+  Vector3 entry_m{};  ///< where the needle went in
+  Vector3 exit_m{};
+  double depth_m = 0.0;          ///< largest distance of its course from the surface
+  double edge_distance_m = 0.0;  ///< from the wound's edge; NaN: the scene has no wound
+  double spacing_m = 0.0;        ///< to the bite before in the same body; NaN: it is the first
+  double peak_force_n = 0.0;     ///< NaN: the scene began with it
+};
+
+/// How well somebody sews with one thread. What is not known is NaN.
+struct QualityView {
+  std::string_view thread;
+  std::uint64_t epoch = 0;
+  std::int64_t stamp_ns = 0;
+  double elapsed_s = 0.0;
+  double needle_path_m = 0.0;  ///< length of the way of the needle's tip
+  double peak_force_n = 0.0;   ///< on tissue
+  double peak_principal_stress_pa = 0.0;
+  double gap_start_m = 0.0;  ///< largest, between the wound's edges
+  double gap_m = 0.0;
+  double tension_n = 0.0;
+  double bite_depth_mean_m = 0.0;
+  double bite_depth_spread_m = 0.0;  ///< standard deviation
+  double bite_spacing_mean_m = 0.0;
+  double bite_spacing_spread_m = 0.0;
+  std::uint32_t handovers = 0;
+  std::uint32_t needle_drops = 0;
+  std::vector<Bite> bites;
+};
+
 /// Something that happened. `kind` is a lower-case word such as "puncture".
 struct Event {
   std::uint64_t epoch = 0;

@@ -30,7 +30,8 @@ struct ViewerCallbacks {
   std::function<void(const NeedleView&)> on_needle;
   std::function<void(const ThreadView&)> on_thread;
   std::function<void(const ContactsView&)> on_contacts;
-  std::function<void(const Event&)> on_event;  ///< the last 1000 first
+  std::function<void(const QualityView&)> on_quality;  ///< when a figure changes
+  std::function<void(const Event&)> on_event;          ///< the last 1000 first
   std::function<void(const Status&)> on_status;
 };
 
