@@ -303,6 +303,25 @@ struct Simulation::State {
     for (ThreadBody& thread : threads) thread.clear_world_changed();
   }
 
+  void constraint_forces_n(std::vector<double>& force_n) const {
+    force_n.assign(3 * tissue.positions_m().size(), 0.0);
+    for (int i = 0; i < rows.size(); ++i)
+      for (const auto& entry : rows.entries(rows[i]))
+        for (std::size_t axis = 0; axis < 3; ++axis)
+          force_n[3 * static_cast<std::size_t>(entry.vertex) + axis] +=
+              lambda[static_cast<std::size_t>(i)] *
+              entry.coefficient[static_cast<Eigen::Index>(axis)];
+  }
+
+  [[nodiscard]] double row_energy_j() const {
+    double sum = 0.0;
+    for (int i = 0; i < rows.size(); ++i) {
+      const double l = lambda[static_cast<std::size_t>(i)];
+      sum += 0.5 * rows[i].compliance_m_per_n * l * l;
+    }
+    return sum;
+  }
+
   void report_contacts() {
     contact_points.clear();
     for (std::size_t n = 0; n < needles.size(); ++n)
@@ -448,5 +467,9 @@ std::span<const geometry::Vec3> Simulation::rest_positions_m() const {
 }
 std::span<const geometry::Tet> Simulation::tets() const { return state_->tissue.model().tets; }
 void Simulation::compute_stress(StressField& field) const { state_->tissue.compute_stress(field); }
+void Simulation::constraint_forces_n(std::vector<double>& force_n) const {
+  state_->constraint_forces_n(force_n);
+}
+double Simulation::row_energy_j() const { return state_->row_energy_j(); }
 
 }  // namespace sutured::simulation

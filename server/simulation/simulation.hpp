@@ -71,6 +71,12 @@ class Simulation {
   /// Computes the stress of all tets and vertices, of the last displacements, in one pass.
   /// Allocates: only where `field` is smaller than the tissue.
   void compute_stress(StressField& field) const;
+  /// Writes what the rows of the last solve put on the tissue, Cᵀ λ (N, 3n, world axes): together
+  /// with the loads it is what K u balances. Allocates: only where `force_n` is too small.
+  void constraint_forces_n(std::vector<double>& force_n) const;
+  /// Returns what grips, threads and contacts store in giving way, ½ Σ ε λ² over the rows of the
+  /// last solve (J).
+  [[nodiscard]] double row_energy_j() const;
 
  private:
   struct State;

@@ -76,6 +76,8 @@ void ThreadBody::reset(const TissueState& tissue, std::span<const NeedleBody> ne
   rest_length_m_ = 0.0;
   build_chain(tissue, needles, {}, 0.0);
   if (!chain_.empty()) rest_length_m_ = counted_length_m(0, static_cast<int>(chain_.size()) - 1);
+  if (description_.ends == scene::ThreadEnds::kNone)
+    for (Span& span : spans_) span.length_m = program_length_m(0.0);
   draw();
 }
 
@@ -287,32 +289,33 @@ void ThreadBody::feed(const TissueState& tissue, std::span<NeedleBody> needles,
       return counted_length_m(static_cast<int>(from - chain_.begin()),
                               static_cast<int>(to - chain_.begin()));
     };
-    // Between the tail's end and the first puncture: no more than the next hold leaves, no less
-    // than a jaw has drawn out.
+    // What lies beyond the outermost puncture: no more than the next hold leaves, no less than a
+    // jaw has drawn out. Where it is not known yet, a jaw out there holds it taut.
+    const auto settle = [&](double& out_m, std::optional<double> most_m,
+                            std::optional<double> least_m) {
+      const bool known = ends_known_ && std::isfinite(out_m);
+      if (!known) out_m = least_m ? *least_m : most_m ? *most_m : out_m;
+      if (known && most_m) out_m = std::min(out_m, *most_m);
+      if (least_m) out_m = std::max(out_m, *least_m);
+    };
     if (free_tail) {
-      if (!ends_known_) tail_out_m_ = std::numeric_limits<double>::infinity();
+      std::optional<double> most_m, least_m;
       const auto next = std::find_if(first, chain_.end(), is_hold);
-      if (next != chain_.end())
-        tail_out_m_ = std::min(tail_out_m_, next->arc_m - counted(first, next));
+      if (next != chain_.end()) most_m = next->arc_m - counted(first, next);
       const auto before = std::find_if(std::make_reverse_iterator(first), chain_.rend(), is_hold);
-      if (before != chain_.rend()) {
-        const double drawn_m = before->arc_m + counted(before.base() - 1, first);
-        tail_out_m_ = std::isfinite(tail_out_m_) ? std::max(tail_out_m_, drawn_m) : drawn_m;
-      }
+      if (before != chain_.rend()) least_m = before->arc_m + counted(before.base() - 1, first);
+      settle(tail_out_m_, most_m, least_m);
     }
     if (free_head) {
-      if (!ends_known_) head_out_m_ = std::numeric_limits<double>::infinity();
+      std::optional<double> most_m, least_m;
+      const double whole_m = description_.length_m;
       const auto before =
           std::find_if(std::make_reverse_iterator(last + 1), chain_.rend(), is_hold);
-      const auto whole_m = description_.length_m;
       if (before != chain_.rend())
-        head_out_m_ =
-            std::min(head_out_m_, whole_m - before->arc_m - counted(before.base() - 1, last));
+        most_m = whole_m - before->arc_m - counted(before.base() - 1, last);
       const auto next = std::find_if(last, chain_.end(), is_hold);
-      if (next != chain_.end()) {
-        const double drawn_m = whole_m - next->arc_m + counted(last, next);
-        head_out_m_ = std::isfinite(head_out_m_) ? std::max(head_out_m_, drawn_m) : drawn_m;
-      }
+      if (next != chain_.end()) least_m = whole_m - next->arc_m + counted(last, next);
+      settle(head_out_m_, most_m, least_m);
     }
     ends_known_ = true;
     const bool at_tail = free_tail && tail_out_m_ <= 0.0;

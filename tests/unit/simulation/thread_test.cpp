@@ -420,6 +420,22 @@ TEST(Thread, WithAFreeTailComesOutBiteByBite) {
   }
 }
 
+/// A jaw behind the bite that goes is before the one that stays: it has the tail in hand.
+TEST(Thread, DrawnOutOfItsFirstBiteLiesTautFromTheJawToTheNext) {
+  scene::Scene scene = stitched(2);
+  scene.threads[0].tail_length_m = 0.003;
+  Hands hands(scene);
+  hands.step();
+  const Grip grip = take(hands, kDriver, puncture(hands, 1));
+  hands.move_by(kDriver, Vec3(8e-3, 0.0, 6e-3), 0.05);
+  hands.step(2);
+  ASSERT_EQ(hands.count(EventKind::kUnthread), 1);
+  ASSERT_EQ(hands.thread().punctures.size(), 2U);
+  // It was taken 3 mm and a bite of 4.2 mm from its end.
+  const double from_tail_m = hands.thread().length_m - hands.thread().punctures.back().arc_length_m;
+  EXPECT_NEAR(from_tail_m, 7.2e-3 + (grip.now_m(hands) - puncture(hands, 0)).norm(), 1e-9);
+}
+
 TEST(Thread, WithAFreeHeadComesOutAtItsHead) {
   scene::Scene scene = stitched(2);
   scene.threads[0].length_m = 0.03 + 2 * 4.2e-3 + 2e-3 + 0.004;
