@@ -157,6 +157,18 @@ void Compliance::ensure_pairs() {
   paired_ = active_;
 }
 
+void Compliance::clear() {
+  std::fill(slot_of_vertex_.begin(), slot_of_vertex_.end(), -1);
+  for (fem::PathColumns& columns : columns_) columns.vertex = -1;
+  std::fill(known_.begin(), known_.end(), std::uint8_t{0});
+  std::fill(last_used_.begin(), last_used_.end(), std::uint64_t{0});
+  std::fill(force_n_.begin(), force_n_.end(), Vec3::Zero());
+  active_.clear();
+  loaded_.clear();
+  high_water_ = 0;
+  step_ = 0;
+}
+
 void Compliance::evict(int idle_steps_max) {
   const auto n = static_cast<std::size_t>(capacity_);
   for (int slot = 0; slot < high_water_; ++slot) {

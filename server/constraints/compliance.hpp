@@ -47,6 +47,8 @@ class Compliance {
 
   /// Forgets vertices unused for `idle_steps_max` calls of `assemble`.
   void evict(int idle_steps_max);
+  /// Forgets all vertices and forces: what follows comes out to the bit as after construction.
+  void clear();
 
   /// Condenses the tissue and the needles onto `rows`. Cost: O(4 m V) for V vertices in use.
   const ComplianceMatrix& assemble(const ConstraintRows& rows,

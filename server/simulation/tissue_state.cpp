@@ -177,6 +177,7 @@ void TissueState::count_inverted() {
 }
 
 void TissueState::reset() {
+  compliance_->clear();
   apply(constraints::ConstraintRows(), {});
   refresh();
 }

@@ -79,7 +79,11 @@ TEST(HapticFidelity, OfANeedleInTissueIsWithinOnePercentOfAResolve) {
     if (response.world_changed || !response.touching) changed_s = time_s;
     // A new cell on the needle's path is a step of the simulation that no model can foresee;
     // a tip that touches has the face's normal in it, which changes as it slides.
-    const bool tip_touches = used && used->model.rows + response.condensed.offset_m.size() > 0;
+    bool tip_touches = false;  // or the shaft, or a taut thread: rows that may switch and carry force
+    for (Eigen::Index i = 0; i < response.condensed.multiplier_n.size(); ++i)
+      tip_touches = tip_touches || response.condensed.multiplier_n[i] > 0.0;
+    for (int i = 0; used && i < used->model.rows; ++i)
+      tip_touches = tip_touches || used->model.multiplier_n[static_cast<std::size_t>(i)] > 0.0;
     if (used && time_s - changed_s > kAfterChange_s && cells > 0 && !tip_touches) {
       const suture::Pose pose{{input.position_m.x(), input.position_m.y(), input.position_m.z()},
                               at.orientation_xyzw};
