@@ -39,6 +39,7 @@ struct DeviceArguments {
   std::string summary;
   double rate_hz = 1000.0;
   bool loop = false;
+  bool pause_at_end = false;
   bool quiet = false;
 };
 

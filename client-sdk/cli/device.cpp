@@ -12,6 +12,7 @@
 #include <cstdio>
 #include <exception>
 #include <fstream>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <nlohmann/json.hpp>
@@ -25,6 +26,7 @@
 #include "force_plot.hpp"
 #include "protocol/surgeon.hpp"
 #include "protocol/types.hpp"
+#include "suture/session.hpp"
 #include "suture/viewer.hpp"
 
 namespace suture::cli {
@@ -378,10 +380,13 @@ class Player {
   [[nodiscard]] double max_force_n() const { return outcome_.max_force_n; }
 
   /// Plays on a thread of its own, with `tools` in all; both others outlive it.
-  void start(Together& together, ForcePrinter* printer, std::size_t tools) {
-    thread_ = std::thread([this, &together, printer, tools] {
+  /// `at_end`: called when its own play is over, while it still has its tool; may be empty.
+  void start(Together& together, ForcePrinter* printer, std::size_t tools,
+             std::function<void()> at_end) {
+    thread_ = std::thread([this, &together, printer, tools, at_end = std::move(at_end)] {
       try {
         play(together, printer, tools);
+        if (at_end) at_end();
       } catch (...) {
         together.fail(track_.tool, std::current_exception());
       }
@@ -476,12 +481,19 @@ Outcome play(const DeviceArguments& arguments, std::span<const SurgeonTrack* con
   callbacks.on_status = [&](const Status& status) { book.add(status); };
   Viewer viewer(session, callbacks);
 
+  std::optional<Session> commands;
+  if (arguments.pause_at_end) commands.emplace(session);
   Together together(players.size(), book);
   {
     std::optional<ForcePrinter> printer;
     if (!arguments.quiet) printer.emplace(tools, span.end_s, players[0]->max_force_n());
-    for (const auto& player : players) {
-      player->start(together, printer ? &*printer : nullptr, players.size());
+    std::size_t last = 0;
+    for (std::size_t i = 0; i < tracks.size(); ++i)
+      if (tracks[i]->end_s() > tracks[last]->end_s()) last = i;
+    for (std::size_t i = 0; i < players.size(); ++i) {
+      std::function<void()> at_end;
+      if (commands && i == last) at_end = [&commands] { commands->command(CommandKind::kPause); };
+      players[i]->start(together, printer ? &*printer : nullptr, players.size(), std::move(at_end));
     }
     for (const auto& player : players) {
       outcome.tools.push_back(player->wait());

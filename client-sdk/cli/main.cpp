@@ -83,6 +83,9 @@ int run(int argc, char** argv) {
       ->capture_default_str();
   device_command->add_flag("--loop", device.loop,
                            "play to the end and back again until interrupted");
+  device_command->add_flag("--pause-at-end", device.pause_at_end,
+                           "pause the server before the last tool leaves, so that the scene stays "
+                           "as the hands held it");
   device_command->add_flag("--quiet", device.quiet, "print the summary only");
   device_command->footer(
       "Examples:\n"

@@ -38,6 +38,10 @@ SUTURED_KERNEL void sparse_products(const double* coefficient, const int* offset
 constexpr std::size_t kPitchPadding = 8;
 // Columns of G taken at a time, so that their share of G stays in the second-level cache.
 constexpr std::int64_t kBlockColumns = 96;
+// Vertices to begin with: the paper's scene fits.
+constexpr int kCapacity = 384;
+// From so many new vertices on their blocks of G are taken as matrix products.
+constexpr int kBatchMin = 4;
 
 }  // namespace
 
@@ -45,7 +49,7 @@ Compliance::Compliance(std::shared_ptr<const fem::CholeskyFactor> factor)
     : factor_(std::move(factor)),
       slot_of_vertex_(static_cast<std::size_t>(factor_->vertex_count()), -1),
       forward_(static_cast<std::size_t>(factor_->size())) {
-  grow(128);
+  grow(kCapacity);
 }
 
 void Compliance::grow(int capacity) {
@@ -70,19 +74,48 @@ void Compliance::grow(int capacity) {
   capacity_ = capacity;
 }
 
+int Compliance::free_slot() {
+  int free = 0;
+  while (free < high_water_ && columns_[static_cast<std::size_t>(free)].vertex >= 0) ++free;
+  if (free == capacity_) grow(2 * capacity_);
+  high_water_ = std::max(high_water_, free + 1);
+  return free;
+}
+
 int Compliance::slot_of(std::int32_t vertex) {
   int& slot = slot_of_vertex_[static_cast<std::size_t>(vertex)];
   if (slot < 0) {
-    int free = 0;
-    while (free < high_water_ && columns_[static_cast<std::size_t>(free)].vertex >= 0) ++free;
-    if (free == capacity_) grow(2 * capacity_);
-    high_water_ = std::max(high_water_, free + 1);
-    factor_->walk_path(vertex, columns_[static_cast<std::size_t>(free)]);
+    slot = free_slot();
+    factor_->walk_path(vertex, columns_[static_cast<std::size_t>(slot)]);
     ++walks_;
-    slot = free;
   }
   last_used_[static_cast<std::size_t>(slot)] = step_;
   return slot;
+}
+
+/// Walks the paths of all vertices that join with these rows, together.
+void Compliance::walk_new(const ConstraintRows& rows) {
+  new_vertices_.clear();
+  for (int i = 0; i < rows.size(); ++i)
+    for (const Entry& entry : rows.entries(rows[i]))
+      if (slot_of_vertex_[static_cast<std::size_t>(entry.vertex)] < 0)
+        new_vertices_.push_back(entry.vertex);
+  new_slots_.clear();
+  if (new_vertices_.empty()) return;
+  std::sort(new_vertices_.begin(), new_vertices_.end());
+  new_vertices_.erase(std::unique(new_vertices_.begin(), new_vertices_.end()), new_vertices_.end());
+  new_slots_.clear();
+  for (const std::int32_t vertex : new_vertices_) {
+    const int slot = free_slot();
+    columns_[static_cast<std::size_t>(slot)].vertex = vertex;  // taken
+    slot_of_vertex_[static_cast<std::size_t>(vertex)] = slot;
+    new_slots_.push_back(slot);
+  }
+  new_columns_.clear();  // only now: taking slots may have moved them
+  for (const int slot : new_slots_)
+    new_columns_.push_back(&columns_[static_cast<std::size_t>(slot)]);
+  factor_->walk_paths(new_vertices_, new_columns_);
+  walks_ += new_vertices_.size();
 }
 
 void Compliance::ensure_pair(int a, int b) {
@@ -94,6 +127,34 @@ void Compliance::ensure_pair(int a, int b) {
     for (int c = 0; c < 3; ++c)
       g_row(3 * a + r)[3 * b + c] = g_row(3 * b + c)[3 * a + r] = block(r, c);
   known_[i * n + j] = known_[j * n + i] = 1;
+}
+
+/// Sees that G holds every pair of active vertices.
+void Compliance::ensure_pairs() {
+  if (static_cast<int>(new_slots_.size()) >= kBatchMin) {
+    joining_columns_.assign(new_columns_.begin(), new_columns_.end());
+    active_columns_.clear();
+    for (const int slot : active_)
+      active_columns_.push_back(&columns_[static_cast<std::size_t>(slot)]);
+    factor_->inverse_blocks(joining_columns_, active_columns_, new_blocks_);
+    const std::size_t rows = 3 * new_slots_.size();
+    const auto n = static_cast<std::size_t>(capacity_);
+    for (std::size_t b = 0; b < active_.size(); ++b)
+      for (std::size_t a = 0; a < new_slots_.size(); ++a) {
+        const int i = new_slots_[a], j = active_[b];
+        const double* block = new_blocks_.data() + 3 * b * rows + 3 * a;
+        for (int r = 0; r < 3; ++r)
+          for (int c = 0; c < 3; ++c)
+            g_row(3 * i + r)[3 * j + c] = g_row(3 * j + c)[3 * i + r] =
+                block[static_cast<std::size_t>(c) * rows + static_cast<std::size_t>(r)];
+        known_[static_cast<std::size_t>(i) * n + static_cast<std::size_t>(j)] =
+            known_[static_cast<std::size_t>(j) * n + static_cast<std::size_t>(i)] = 1;
+      }
+  }
+  if (new_slots_.empty() && active_ == paired_) return;
+  for (std::size_t a = 0; a < active_.size(); ++a)
+    for (std::size_t b = 0; b <= a; ++b) ensure_pair(active_[a], active_[b]);
+  paired_ = active_;
 }
 
 void Compliance::evict(int idle_steps_max) {
@@ -117,6 +178,7 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
                                              std::span<const NeedleMobility> needles) {
   ++step_;
   const int m = rows.size();
+  walk_new(rows);
   active_.clear();
   entry_slot_.clear();
   for (int i = 0; i < m; ++i)
@@ -127,8 +189,7 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
     }
   std::sort(active_.begin(), active_.end());
   active_.erase(std::unique(active_.begin(), active_.end()), active_.end());
-  for (std::size_t a = 0; a < active_.size(); ++a)
-    for (std::size_t b = 0; b <= a; ++b) ensure_pair(active_[a], active_[b]);
+  ensure_pairs();
 
   w_.size = m;
   w_.value.resize(static_cast<std::size_t>(m) * static_cast<std::size_t>(m));
@@ -137,9 +198,19 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
   // T = C G, a block of columns at a time; a row of T is padded by one lane.
   const auto pitch = width + 1;
   row_times_g_.assign(static_cast<std::size_t>(m) * static_cast<std::size_t>(pitch), 0.0);
+  // Row i meets the vertices of rows up to i only, and old vertices have low slots.
+  row_width_.resize(static_cast<std::size_t>(m));
+  std::int64_t widest = 0;
+  for (int i = 0; i < m; ++i) {
+    const auto begin = entry_slot_.begin() + rows[i].first_entry;
+    for (auto slot = begin; slot != begin + rows[i].entry_count; ++slot)
+      widest = std::max<std::int64_t>(widest, 3 * (*slot + 1));
+    row_width_[static_cast<std::size_t>(i)] = widest;
+  }
   for (std::int64_t first = 0; first < width; first += kBlockColumns) {
-    const auto count = std::min(kBlockColumns, width - first);
     for (int i = 0; i < m; ++i) {
+      const auto count = std::min(kBlockColumns, row_width_[static_cast<std::size_t>(i)] - first);
+      if (count <= 0) continue;
       const auto entries = rows.entries(rows[i]);
       double* t = row_times_g_.data() + i * pitch + first;
       for (std::size_t e = 0; e < entries.size(); ++e) {

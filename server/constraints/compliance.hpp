@@ -70,6 +70,9 @@ class Compliance {
 
  private:
   int slot_of(std::int32_t vertex);
+  int free_slot();
+  void walk_new(const ConstraintRows& rows);
+  void ensure_pairs();
   void grow(int capacity);
   void ensure_pair(int a, int b);
   [[nodiscard]] double* g_row(int row) {
@@ -86,14 +89,21 @@ class Compliance {
   std::vector<std::uint64_t> last_used_;      ///< per slot
   std::vector<double> g_;                     ///< 3 capacity rows, `pitch_` apart
   std::vector<std::uint8_t> known_;           ///< capacity × capacity: pairs present in g_
-  std::vector<int> active_;                   ///< slots of the present rows
-  std::vector<int> entry_slot_;               ///< per entry of the present rows
-  std::vector<int> entry_offset_;             ///< 3 × its slot
-  std::vector<double> entry_coefficient_;     ///< 4 per entry, the last zero
-  std::vector<std::int32_t> row_first_;       ///< m + 1: where a row's entries begin
-  std::vector<double> row_times_g_;           ///< T = C G, rows padded by one
-  std::vector<Vec3> force_n_;                 ///< per slot: Cᵀ λ
-  std::vector<int> loaded_;                   ///< slots with a force
+  std::vector<std::int32_t> new_vertices_;    ///< of the present rows
+  std::vector<int> new_slots_;
+  std::vector<fem::PathColumns*> new_columns_;
+  std::vector<const fem::PathColumns*> joining_columns_, active_columns_;
+  std::vector<double> new_blocks_;
+  std::vector<int> paired_;                ///< slots whose pairs are all present
+  std::vector<int> active_;                ///< slots of the present rows
+  std::vector<int> entry_slot_;            ///< per entry of the present rows
+  std::vector<int> entry_offset_;          ///< 3 × its slot
+  std::vector<double> entry_coefficient_;  ///< 4 per entry, the last zero
+  std::vector<std::int32_t> row_first_;    ///< m + 1: where a row's entries begin
+  std::vector<std::int64_t> row_width_;    ///< per row: columns of T that W needs of it
+  std::vector<double> row_times_g_;        ///< T = C G, rows padded by one
+  std::vector<Vec3> force_n_;              ///< per slot: Cᵀ λ
+  std::vector<int> loaded_;                ///< slots with a force
   std::vector<double> forward_;
   ComplianceMatrix w_;
 };

@@ -8,14 +8,19 @@
 namespace sutured::contact {
 namespace {
 
-// A pair is taken in while its gap is below this and what three steps at the present speed close.
-constexpr double kReach_m = 1.5e-5;
-constexpr double kReachMax_m = 4e-4;
+// A pair is taken in while its gap is below this, what the present motion of its features closes in
+// so many steps, and a share of the largest motion of all.
+constexpr double kReach_m = 1.1e-5, kClosingSteps = 2.0, kSpeedShare = 0.1;
+// No pair is farther apart than the reach: short while all moves slowly; long once anything moved
+// by more than a share of the short one in a step, until nothing did for a while.
+constexpr double kReachShort_m = 1e-4, kReachLong_m = 4e-4, kReachSpeedShare = 0.3;
+constexpr int kSlowSteps = 50;
+// What is kept lies within the reach and this.
+constexpr double kMargin_m = 2e-4;
 // Deeper than this a vertex is taken to be on another side of the body.
 constexpr double kDepthMax_m = 8e-4;
 // A pair that is new is no deeper than this and what two steps at the present speed press in.
 constexpr double kNewDepth_m = 5e-5;
-constexpr double kMargin_m = 3e-4;
 constexpr double kChoose_m = 2e-6;
 // Features face each other beyond this angle.
 constexpr double kFacingCosine = -0.3;
@@ -70,7 +75,10 @@ void TissueContact::reset() {
   pairs_.clear();
   known_.clear();
   last_m_.clear();
+  moved_m_.assign(rest_m_.size(), Vec3::Zero());
   motion_m_ = speed_m_ = 0.0;
+  reach_m_ = kReachShort_m;
+  slow_steps_ = 0;
   chosen_at_m_ = -1.0;
 }
 
@@ -84,8 +92,12 @@ const Pair* TissueContact::known(std::uint64_t key) const {
 /// Whether a pair that is near may be taken in: only one that was known may be deep.
 bool TissueContact::admit(Pair& pair) const {
   const Proximity& p = pair.proximity;
-  const double reach_m = std::min(kReachMax_m, kReach_m + 3.0 * speed_m_);
-  if (!p.valid || p.gap_m > reach_m || p.gap_m < -kDepthMax_m) return false;
+  if (!p.valid || p.gap_m < -kDepthMax_m || p.gap_m > reach_m_) return false;
+  double closing_m = 0.0;
+  for (std::size_t i = 0; i < 4; ++i)
+    closing_m -= p.coefficient[i] * p.normal.dot(moved_m_[at(pair.vertices[i])]);
+  if (p.gap_m > kReach_m + kClosingSteps * std::max(closing_m, 0.0) + kSpeedShare * speed_m_)
+    return false;
   const Pair* const before = known(pair.key());
   if (before == nullptr && p.gap_m < -(kNewDepth_m + 2.0 * speed_m_)) return false;
   if (before != nullptr) {
@@ -121,7 +133,7 @@ int TissueContact::tissue_of(const Pair& pair, bool second) const {
 }
 
 void TissueContact::search(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree) {
-  const double kept = kReachMax_m + kMargin_m, radius = kept + 0.25 * edge_length_m_;
+  const double kept = reach_m_ + kMargin_m, radius = kept + 0.25 * edge_length_m_;
   // Not all look again at once.
   const auto spread = [](std::size_t i) {
     return 0.5 + 0.5 * static_cast<double>((i * 2654435761U) % 1024U) / 1024.0;
@@ -131,6 +143,12 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
   const auto facing = [&](std::int32_t a, std::int32_t b) {
     return normals_[at(a)].dot(normals_[at(b)]) < kFacingCosine;
   };
+  // Features of one smooth surface do not face each other: most of the tree is passed over.
+  const auto due = [&](const std::vector<double>& at_m) {
+    return std::any_of(at_m.begin(), at_m.end(), [&](double d) { return d <= motion_m_; });
+  };
+  if (!due(vertex_due_) && !due(edge_due_)) return;
+  tree.fit_cones(normals_, cones_);
   bool changed = false;
   for (std::size_t i = 0; i < vertices.size(); ++i) {
     if (vertex_due_[i] > motion_m_) continue;
@@ -141,9 +159,12 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
     double nearest = radius;
     near_vertex_[i].clear();
     const Vec3 half = Vec3::Constant(radius);
-    tree.for_each_overlap({x - half, x + half}, [&](std::int32_t t) {
+    const auto own = features_.triangles_at(v);
+    auto cone = geometry::DirectionCone::of(normals_[at(own[0])]);
+    for (const auto mine : own)
+      cone = geometry::DirectionCone::merged(cone, geometry::DirectionCone::of(normals_[at(mine)]));
+    tree.for_each_opposing({x - half, x + half}, cones_, cone, kFacingCosine, [&](std::int32_t t) {
       if (shares_vertex(triangles[at(t)], v)) return;
-      const auto own = features_.triangles_at(v);
       if (std::none_of(own.begin(), own.end(), [&](auto mine) { return facing(mine, t); })) return;
       const bool self = tissue_of_triangle_[at(own[0])] == tissue_of_triangle_[at(t)];
       if (self && through_solid(v, t)) return;
@@ -155,7 +176,7 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
       nearest = std::min(nearest, distance);
     });
     // What is kept holds for half the margin; where nothing is near, for longer.
-    const double clear = near_vertex_[i].empty() ? nearest - kReachMax_m : kMargin_m;
+    const double clear = near_vertex_[i].empty() ? nearest - reach_m_ : kMargin_m;
     vertex_due_[i] = motion_m_ + 0.5 * spread(i) * clear;
     std::sort(near_vertex_[i].begin(), near_vertex_[i].end());
   }
@@ -169,7 +190,12 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
     double nearest = radius;
     near_edge_[i].clear();
     const Vec3 half = Vec3::Constant(radius);
-    tree.for_each_overlap({a.cwiseMin(b) - half, a.cwiseMax(b) + half}, [&](std::int32_t t) {
+    auto cone = geometry::DirectionCone::of(normals_[at(edge.triangles[0])]);
+    if (edge.triangles[1] >= 0)
+      cone = geometry::DirectionCone::merged(
+          cone, geometry::DirectionCone::of(normals_[at(edge.triangles[1])]));
+    const geometry::Box box(a.cwiseMin(b) - half, a.cwiseMax(b) + half);
+    tree.for_each_opposing(box, cones_, cone, kFacingCosine, [&](std::int32_t t) {
       if (!facing(edge.triangles[0], t) &&
           !(edge.triangles[1] >= 0 && facing(edge.triangles[1], t)))
         return;
@@ -189,7 +215,7 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
         nearest = std::min(nearest, distance);
       }
     });
-    const double clear = near_edge_[i].empty() ? nearest - kReachMax_m : kMargin_m;
+    const double clear = near_edge_[i].empty() ? nearest - reach_m_ : kMargin_m;
     edge_due_[i] = motion_m_ + 0.5 * spread(i) * clear;
     std::sort(near_edge_[i].begin(), near_edge_[i].end());
     near_edge_[i].erase(std::unique(near_edge_[i].begin(), near_edge_[i].end()),
@@ -300,10 +326,19 @@ void TissueContact::update(std::span<const Vec3> positions_m, const geometry::Tr
     double squared = 0.0;
     for (std::size_t i = 0; i < vertices.size(); ++i) {
       squared = std::max(squared, (positions_m[at(vertices[i])] - last_m_[i]).squaredNorm());
+      moved_m_[at(vertices[i])] = positions_m[at(vertices[i])] - last_m_[i];
       last_m_[i] = positions_m[at(vertices[i])];
     }
     speed_m_ = std::sqrt(squared);
     motion_m_ += speed_m_;
+    if (reach_m_ < kReachLong_m && speed_m_ > kReachSpeedShare * kReachShort_m) {
+      reach_m_ = kReachLong_m;
+      std::fill(vertex_due_.begin(), vertex_due_.end(), -1.0);
+      std::fill(edge_due_.begin(), edge_due_.end(), -1.0);
+    }
+    // What is known of the long reach holds for the short one too.
+    slow_steps_ = speed_m_ < 0.5 * kReachSpeedShare * kReachShort_m ? slow_steps_ + 1 : 0;
+    if (slow_steps_ > kSlowSteps) reach_m_ = kReachShort_m;
   }
   const auto& triangles = surface_->triangles;
   for (std::size_t t = 0; t < triangles.size(); ++t) {

@@ -13,10 +13,12 @@
 //                 behind the common perpendicular: the normal is in the normal cones of both
 //
 // Broad phase: each vertex and edge keeps the features within its reach and a margin, and looks
-// again when the surfaces have moved by half the margin. Choice: made anew when they have moved by
-// kChoose_m since the last; a pair that carried force stays on looser terms, and only one that was
-// known before may be deep: surfaces meet from outside. So still tissue keeps its pairs, and a step
-// is a smooth map that settles. Normals and coefficients are renewed each step.
+// again when the surfaces have moved by half the margin. It passes over those that cannot face it,
+// by cones around the normals below each node of the tree: all of a smooth surface, at a glance.
+// Choice: made anew when the surfaces have moved by kChoose_m since the last, of what is near
+// enough to close within two steps of its own motion; a pair that carried force stays on looser
+// terms, and only one that was known before may be deep: surfaces meet from outside. So still
+// tissue keeps its pairs, and a step is a smooth map that settles.
 //
 // Relaxation: a row knows the normal of the step before, not how it turns when its pair slides.
 // Under a large force that lets features overshoot past each other and back, for ever. So where a
@@ -109,7 +111,11 @@ class TissueContact {
   double edge_length_m_ = 0.0;  ///< mean
 
   std::vector<Vec3> last_m_, normals_;  ///< per surface vertex; per triangle
+  double reach_m_ = 0.0;                ///< no pair is farther apart
+  int slow_steps_ = 0;                  ///< in a row
+  std::vector<Vec3> moved_m_;           ///< per vertex of the mesh: in the last step
   double motion_m_ = 0.0, chosen_at_m_ = -1.0, speed_m_ = 0.0;
+  std::vector<geometry::DirectionCone> cones_;  ///< per node of the tree
   std::vector<std::vector<std::int32_t>> near_vertex_, near_edge_;
   std::vector<double> vertex_due_, edge_due_;
   std::vector<std::size_t> close_vertices_, close_edges_;  ///< with candidates

@@ -11,6 +11,15 @@
 
 #include "fem/simd_kernel.hpp"
 
+extern "C" {
+void dtrsm_(const char* side, const char* uplo, const char* trans, const char* diag, const int* m,
+            const int* n, const double* alpha, const double* a, const int* lda, double* b,
+            const int* ldb);
+void dgemm_(const char* transa, const char* transb, const int* m, const int* n, const int* k,
+            const double* alpha, const double* a, const int* lda, const double* b, const int* ldb,
+            const double* beta, double* c, const int* ldc);
+}
+
 namespace sutured::fem {
 namespace {
 
@@ -108,6 +117,26 @@ SUTURED_KERNEL double sum_of(const double* values, std::int64_t count) {
 #pragma omp simd reduction(+ : sum)
   for (std::int64_t i = 0; i < count; ++i) sum += values[i];
   return sum;
+}
+
+/// x ← L⁻¹ x for the lower n × n triangle of a panel and `columns` right-hand sides, n apart.
+void solve_lower(int n, int columns, const double* l, int l_stride, double* x) {
+  const double one = 1.0;
+  dtrsm_("L", "L", "N", "N", &n, &columns, &one, l, &l_stride, x, &n);
+}
+
+/// y = A x, A rows × inner, x inner × columns.
+void multiply_dense(int rows, int columns, int inner, const double* a, int a_stride,
+                    const double* x, double* y) {
+  const double one = 1.0, zero = 0.0;
+  dgemm_("N", "N", &rows, &columns, &inner, &one, a, &a_stride, x, &inner, &zero, y, &rows);
+}
+
+/// c = Aᵀ B, A inner × rows, B inner × columns.
+void multiply_transposed(int rows, int columns, int inner, const double* a, const double* b,
+                         double* c) {
+  const double one = 1.0, zero = 0.0;
+  dgemm_("T", "N", &rows, &columns, &inner, &one, a, &inner, b, &inner, &zero, c, &rows);
 }
 
 /// CHOLMOD's workspace, started and finished with its owner.
@@ -225,6 +254,13 @@ struct CholeskyFactor::Impl {
     return a;
   }
 
+  /// Where a row of L stands in a column of `length` entries that ends at the root.
+  [[nodiscard]] std::int64_t slot(std::int64_t length, std::int64_t r) const {
+    const auto s = static_cast<std::size_t>(supernode_of[static_cast<std::size_t>(r)]);
+    return length - columns_to_root[s] + (r - super()[s]);
+  }
+  std::int64_t begin_path(std::int32_t vertex, PathColumns& columns) const;
+
   void multiply(std::span<const double> x, std::span<double> y) const {
     std::fill(y.begin(), y.end(), 0.0);
     for (std::size_t j = 0; j < x.size(); ++j)
@@ -322,8 +358,10 @@ void CholeskyFactor::solve(std::span<const double> b, std::span<double> x) const
   cholmod_l_free_dense(&result, &impl_->common.value);
 }
 
-void CholeskyFactor::walk_path(std::int32_t vertex, PathColumns& columns) const {
-  const Impl& m = *impl_;
+/// Lays out the columns of a vertex: ones at its degrees of freedom, zeros up to the root. Returns
+/// the first of those rows.
+std::int64_t CholeskyFactor::Impl::begin_path(std::int32_t vertex, PathColumns& columns) const {
+  const Impl& m = *this;
   columns.vertex = vertex;
   columns.first_supernode = -1;
   columns.length = 0;
@@ -340,19 +378,24 @@ void CholeskyFactor::walk_path(std::int32_t vertex, PathColumns& columns) const 
   }
   const std::int64_t length = columns.length;
   columns.value.assign(static_cast<std::size_t>(3 * length), 0.0);
-  if (length == 0) return;
-  double* value = columns.value.data();
-  const auto slot = [&](std::int64_t row) {
-    const auto s = static_cast<std::size_t>(m.supernode_of[static_cast<std::size_t>(row)]);
-    return length - m.columns_to_root[s] + (row - m.super()[s]);
-  };
+  if (length == 0) return m.size;
+  double* entry = columns.value.data();
   std::int64_t first_row = m.size;
   for (std::size_t axis = 0; axis < 3; ++axis) {
     const auto at = m.position[3 * static_cast<std::size_t>(vertex) + axis];
     if (at < 0) continue;
-    value[static_cast<std::int64_t>(axis) * length + slot(at)] = 1.0;
+    entry[static_cast<std::int64_t>(axis) * length + m.slot(length, at)] = 1.0;
     first_row = std::min(first_row, at);
   }
+  return first_row;
+}
+
+void CholeskyFactor::walk_path(std::int32_t vertex, PathColumns& columns) const {
+  const Impl& m = *impl_;
+  const std::int64_t first_row = m.begin_path(vertex, columns);
+  const std::int64_t length = columns.length;
+  if (length == 0) return;
+  double* value = columns.value.data();
 
   thread_local std::vector<double> below;
   if (static_cast<std::int64_t>(below.size()) < 3 * m.panel_rows_max)
@@ -364,7 +407,8 @@ void CholeskyFactor::walk_path(std::int32_t vertex, PathColumns& columns) const 
     const auto row_count = m.rows_start()[i + 1] - m.rows_start()[i];
     const auto rest = row_count - column_count;
     const double* panel = m.values() + m.values_start()[i];
-    double* own = value + slot(m.super()[i]);  // contiguous for the supernode's own columns
+    double* own =
+        value + m.slot(length, m.super()[i]);  // contiguous for the supernode's own columns
     std::fill_n(below.begin(), 3 * rest, 0.0);
     auto k = std::max<std::int64_t>(0, first_row - m.super()[i]);  // zeros before the vertex
     while (k < column_count) {
@@ -397,10 +441,63 @@ void CholeskyFactor::walk_path(std::int32_t vertex, PathColumns& columns) const 
     }
     const std::int64_t* rows = m.rows() + m.rows_start()[i] + column_count;
     for (std::int64_t r = 0; r < rest; ++r) {
-      const auto at = slot(rows[r]);
+      const auto at = m.slot(length, rows[r]);
       for (std::int64_t axis = 0; axis < 3; ++axis)
         value[axis * length + at] += below[static_cast<std::size_t>(axis * rest + r)];
     }
+  }
+}
+
+void CholeskyFactor::walk_paths(std::span<const std::int32_t> vertices,
+                                std::span<PathColumns* const> columns) const {
+  const Impl& m = *impl_;
+  if (vertices.size() == 1) return walk_path(vertices[0], *columns[0]);
+  thread_local std::vector<std::pair<std::int32_t, std::int32_t>> passes;  // supernode, vertex
+  thread_local std::vector<double> own, below;
+  passes.clear();
+  for (std::size_t v = 0; v < vertices.size(); ++v) {
+    m.begin_path(vertices[v], *columns[v]);
+    for (auto s = columns[v]->first_supernode; s >= 0; s = m.parent[static_cast<std::size_t>(s)])
+      passes.emplace_back(s, static_cast<std::int32_t>(v));
+  }
+  // A parent has a higher number than its children.
+  std::sort(passes.begin(), passes.end());
+  for (std::size_t from = 0, to = 0; from < passes.size(); from = to) {
+    const auto i = static_cast<std::size_t>(passes[from].first);
+    while (to < passes.size() && passes[to].first == passes[from].first) ++to;
+    const int width = 3 * static_cast<int>(to - from);
+    const auto column_count = m.super()[i + 1] - m.super()[i];
+    const auto row_count = m.rows_start()[i + 1] - m.rows_start()[i];
+    const auto rest = row_count - column_count;
+    const double* panel = m.values() + m.values_start()[i];
+    const auto each = [&](auto&& visit) {  // (its column, its length, number among those here)
+      for (std::size_t p = from; p < to; ++p) {
+        PathColumns& path = *columns[static_cast<std::size_t>(passes[p].second)];
+        for (std::int64_t axis = 0; axis < 3; ++axis)
+          visit(path.value.data() + axis * path.length, path.length,
+                static_cast<std::int64_t>(3 * (p - from)) + axis);
+      }
+    };
+    own.resize(static_cast<std::size_t>(column_count * width));
+    each([&](const double* value, std::int64_t length, std::int64_t c) {
+      std::copy_n(value + m.slot(length, m.super()[i]), column_count,
+                  own.data() + c * column_count);
+    });
+    solve_lower(static_cast<int>(column_count), width, panel, static_cast<int>(row_count),
+                own.data());
+    each([&](double* value, std::int64_t length, std::int64_t c) {
+      std::copy_n(own.data() + c * column_count, column_count,
+                  value + m.slot(length, m.super()[i]));
+    });
+    if (rest == 0) continue;
+    below.resize(static_cast<std::size_t>(rest * width));
+    multiply_dense(static_cast<int>(rest), width, static_cast<int>(column_count),
+                   panel + column_count, static_cast<int>(row_count), own.data(), below.data());
+    const std::int64_t* rows = m.rows() + m.rows_start()[i] + column_count;
+    each([&](double* value, std::int64_t length, std::int64_t c) {
+      const double* t = below.data() + c * rest;
+      for (std::int64_t r = 0; r < rest; ++r) value[m.slot(length, rows[r])] -= t[r];
+    });
   }
 }
 
@@ -415,6 +512,65 @@ Mat3 CholeskyFactor::inverse_block(const PathColumns& v, const PathColumns& w) c
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) block(i, j) = g[3 * i + j];
   return block;
+}
+
+void CholeskyFactor::inverse_blocks(std::span<const PathColumns* const> a,
+                                    std::span<const PathColumns* const> b,
+                                    std::vector<double>& block) const {
+  const Impl& m = *impl_;
+  using Passes = std::vector<std::pair<std::int32_t, std::int32_t>>;  // supernode, number in a or b
+  thread_local Passes passes_a, passes_b;
+  thread_local std::vector<double> gathered_a, gathered_b, product;
+  const auto rows = 3 * a.size();
+  block.assign(rows * 3 * b.size(), 0.0);
+  const auto pass = [&](std::span<const PathColumns* const> all, Passes& passes) {
+    passes.clear();
+    for (std::size_t v = 0; v < all.size(); ++v)
+      for (auto s = all[v]->first_supernode; s >= 0; s = m.parent[static_cast<std::size_t>(s)])
+        passes.emplace_back(s, static_cast<std::int32_t>(v));
+    std::sort(passes.begin(), passes.end());
+  };
+  pass(a, passes_a);
+  pass(b, passes_b);
+  for (std::size_t ia = 0, ib = 0; ia < passes_a.size() && ib < passes_b.size();) {
+    const std::int32_t s = std::max(passes_a[ia].first, passes_b[ib].first);
+    while (ia < passes_a.size() && passes_a[ia].first < s) ++ia;
+    while (ib < passes_b.size() && passes_b[ib].first < s) ++ib;
+    if (ia == passes_a.size() || ib == passes_b.size()) break;
+    if (passes_a[ia].first != s || passes_b[ib].first != s) continue;
+    const auto at = static_cast<std::size_t>(s);
+    const auto count = m.super()[at + 1] - m.super()[at];
+    const auto gather = [&](std::span<const PathColumns* const> all, const Passes& passes,
+                            std::size_t from, std::vector<double>& out) {
+      std::size_t to = from;
+      out.clear();
+      for (; to < passes.size() && passes[to].first == s; ++to) {
+        const PathColumns& path = *all[static_cast<std::size_t>(passes[to].second)];
+        for (std::int64_t axis = 0; axis < 3; ++axis) {
+          const double* from_value =
+              path.value.data() + axis * path.length + (path.length - m.columns_to_root[at]);
+          out.insert(out.end(), from_value, from_value + count);
+        }
+      }
+      return to;
+    };
+    const std::size_t end_a = gather(a, passes_a, ia, gathered_a);
+    const std::size_t end_b = gather(b, passes_b, ib, gathered_b);
+    const auto na = 3 * (end_a - ia), nb = 3 * (end_b - ib);
+    product.resize(na * nb);
+    multiply_transposed(static_cast<int>(na), static_cast<int>(nb), static_cast<int>(count),
+                        gathered_a.data(), gathered_b.data(), product.data());
+    for (std::size_t j = 0; j < nb; ++j) {
+      double* column =
+          block.data() + (3 * static_cast<std::size_t>(passes_b[ib + j / 3].second) + j % 3) * rows;
+      for (std::size_t i = 0; i < na; i += 3) {
+        double* g = column + 3 * static_cast<std::size_t>(passes_a[ia + i / 3].second);
+        for (std::size_t k = 0; k < 3; ++k) g[k] += product[j * na + i + k];
+      }
+    }
+    ia = end_a;
+    ib = end_b;
+  }
 }
 
 void CholeskyFactor::accumulate(const PathColumns& columns, const Vec3& force_n,

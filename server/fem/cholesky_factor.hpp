@@ -60,8 +60,21 @@ class CholeskyFactor {
   /// grows. Cost: about an eighth of L for the largest paths.
   void walk_path(std::int32_t vertex, PathColumns& columns) const;
 
+  /// Fills `columns[i]` for `vertices[i]`, all of them in one go up the tree: paths share their
+  /// upper ends, which are most of them, and there each panel is read once for all. The values
+  /// differ from those of `walk_path` by rounding, as they do with what is walked together.
+  /// Allocates: scratch that grows with the vertices, kept by the thread.
+  void walk_paths(std::span<const std::int32_t> vertices,
+                  std::span<PathColumns* const> columns) const;
+
   /// Returns block (v, w) of K⁻¹, m/N, from two walked vertices.
   [[nodiscard]] Mat3 inverse_block(const PathColumns& v, const PathColumns& w) const;
+
+  /// Writes block (v, w) of K⁻¹ for every v of `a` and w of `b` to `block`, 3 |a| × 3 |b|,
+  /// column-major: as `inverse_block`, by one matrix product a shared supernode. Worth it from some
+  /// four vertices on. Allocates: scratch that grows with the vertices, kept by the thread.
+  void inverse_blocks(std::span<const PathColumns* const> a, std::span<const PathColumns* const> b,
+                      std::vector<double>& block) const;
 
   /// Adds L⁻¹ P Eᵥ f to `y` (size()), f a force (N) on the walked vertex.
   void accumulate(const PathColumns& columns, const Vec3& force_n, std::span<double> y) const;

@@ -2,6 +2,7 @@
 #include "geometry/triangle_tree.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 #include <stdexcept>
 
@@ -74,6 +75,60 @@ void TriangleTree::refit(std::span<const Vec3> vertices_m) noexcept {
     node.box.setEmpty();
     for (std::int32_t i = node.first; i < node.first + node.count; ++i)
       node.box.extend(boxes_[static_cast<std::size_t>(order_[static_cast<std::size_t>(i)])]);
+  }
+}
+
+DirectionCone DirectionCone::merged(const DirectionCone& a, const DirectionCone& b) {
+  DirectionCone out;
+  out.all = a.all || b.all;
+  const Vec3 sum = a.axis + b.axis;
+  const double norm = sum.norm();
+  if (out.all || norm < 1e-6) {
+    out.all = true;
+    return out;
+  }
+  out.axis = sum / norm;
+  for (const DirectionCone* part : {&a, &b}) {
+    // cos and sin of the angle to the part's axis and the part's own, together.
+    const double cosine = std::min(1.0, out.axis.dot(part->axis));
+    const double sine = std::sqrt(std::max(0.0, 1.0 - cosine * cosine));
+    const double far_cosine = cosine * part->cosine - sine * part->sine;
+    if (far_cosine >= out.cosine) continue;
+    out.cosine = far_cosine;
+    out.sine = sine * part->cosine + cosine * part->sine;
+  }
+  out.all = out.cosine <= 0.0;
+  return out;
+}
+
+bool DirectionCone::may_oppose(const DirectionCone& other, double cosine_max) const {
+  if (all || other.all) return true;
+  // The widest angle between the two is that of the axes, α, and both half angles, β and γ. It
+  // stays under the limit θ ≥ 90° where α < θ − β − γ.
+  const double limit_sine = std::sqrt(std::max(0.0, 1.0 - cosine_max * cosine_max));
+  const double c = cosine_max * cosine + limit_sine * sine;  // cos(θ − β)
+  const double s = limit_sine * cosine - cosine_max * sine;  // sin(θ − β) > 0
+  if (s * other.cosine - c * other.sine <= 0.0) return true;
+  return axis.dot(other.axis) < c * other.cosine + s * other.sine;
+}
+
+void TriangleTree::fit_cones(std::span<const Vec3> normals,
+                             std::vector<DirectionCone>& cones) const {
+  cones.resize(nodes_.size());
+  for (std::size_t n = nodes_.size(); n-- > 0;) {
+    const Node& node = nodes_[n];
+    if (node.right != 0) {
+      cones[n] = DirectionCone::merged(cones[n + 1], cones[static_cast<std::size_t>(node.right)]);
+      continue;
+    }
+    bool first = true;
+    for (std::int32_t i = node.first; i < node.first + node.count; ++i) {
+      const Vec3& normal = normals[static_cast<std::size_t>(order_[static_cast<std::size_t>(i)])];
+      if (normal.isZero()) continue;
+      const DirectionCone one = DirectionCone::of(normal);
+      cones[n] = first ? one : DirectionCone::merged(cones[n], one);
+      first = false;
+    }
   }
 }
 

@@ -26,6 +26,20 @@ struct SurfacePoint {
   ClosestPoint closest;
 };
 
+/// Directions within `angle` of `axis`; an angle over a right one holds all directions.
+struct DirectionCone {
+  Vec3 axis = Vec3::UnitZ();
+  double cosine = 1.0, sine = 0.0;  ///< of the angle
+  bool all = false;
+
+  /// Returns the cone of one direction.
+  [[nodiscard]] static DirectionCone of(const Vec3& direction) { return {direction, 1.0, 0.0}; }
+  /// Returns a cone that holds both.
+  [[nodiscard]] static DirectionCone merged(const DirectionCone& a, const DirectionCone& b);
+  /// Whether some direction of each may enclose an angle with a cosine below `cosine_max` ≤ 0.
+  [[nodiscard]] bool may_oppose(const DirectionCone& other, double cosine_max) const;
+};
+
 /// Finds the triangles near something. Queries: any number of threads while nobody refits.
 class TriangleTree {
  public:
@@ -43,6 +57,17 @@ class TriangleTree {
   /// Allocates: never.
   template <typename Visit>
   void for_each_overlap(const Box& box, Visit&& visit) const;
+
+  /// Fits a cone around the normals below each node into `cones`, one a node. `normals`: one a
+  /// triangle, of length one (or zero for a triangle without area, which no cone holds).
+  void fit_cones(std::span<const Vec3> normals, std::vector<DirectionCone>& cones) const;
+
+  /// Calls `visit(triangle)` as `for_each_overlap` does, but passes over triangles whose normals,
+  /// by `cones`, cannot enclose an angle with a direction of `own` with a cosine below `cosine_max`
+  /// ≤ 0. Of those that it visits, some do not either. Allocates: never.
+  template <typename Visit>
+  void for_each_opposing(const Box& box, std::span<const DirectionCone> cones,
+                         const DirectionCone& own, double cosine_max, Visit&& visit) const;
 
   /// Returns the surface's point nearest to `p` if one lies within `radius_m`; the lower triangle
   /// index wins a tie. `vertices_m` are those of the last refit. Allocates: never.
@@ -66,6 +91,8 @@ class TriangleTree {
   static constexpr std::size_t kStackSize = 64;
   static constexpr std::int32_t kLeafSize = 4;
 
+  template <typename Where, typename Visit>
+  void for_each_overlap_where(const Box& box, Where&& where, Visit&& visit) const;
   std::int32_t build(std::int32_t first, std::int32_t last, std::span<const Vec3> centroids_m);
 
   std::vector<Triangle> triangles_;
@@ -76,6 +103,24 @@ class TriangleTree {
 
 template <typename Visit>
 void TriangleTree::for_each_overlap(const Box& box, Visit&& visit) const {
+  for_each_overlap_where(
+      box, [](std::int32_t) { return true; }, visit);
+}
+
+template <typename Visit>
+void TriangleTree::for_each_opposing(const Box& box, std::span<const DirectionCone> cones,
+                                     const DirectionCone& own, double cosine_max,
+                                     Visit&& visit) const {
+  for_each_overlap_where(
+      box,
+      [&](std::int32_t node) {
+        return cones[static_cast<std::size_t>(node)].may_oppose(own, cosine_max);
+      },
+      visit);
+}
+
+template <typename Where, typename Visit>
+void TriangleTree::for_each_overlap_where(const Box& box, Where&& where, Visit&& visit) const {
   if (nodes_.empty()) return;
   std::array<std::int32_t, kStackSize> stack;
   std::size_t depth = 0;
@@ -83,7 +128,7 @@ void TriangleTree::for_each_overlap(const Box& box, Visit&& visit) const {
   while (depth > 0) {
     const std::int32_t index = stack[--depth];
     const Node& node = nodes_[static_cast<std::size_t>(index)];
-    if (!node.box.intersects(box)) continue;
+    if (!node.box.intersects(box) || !where(index)) continue;
     if (node.right != 0) {
       stack[depth++] = node.right;
       stack[depth++] = index + 1;

@@ -15,8 +15,9 @@ server=$!
 trap 'kill -INT $server 2>/dev/null || true; wait $server 2>/dev/null || true' EXIT
 
 echo "viewers and recorders join on DDS domain $((domain + 1)); rates and latencies: suture top --domain $domain"
-# It waits for the server by itself, and says why if none comes.
-"$BIN/client-sdk/cli/suture" device --surgeon "$SURGEON" --domain "$domain" --timeout 20 \
+# It waits for the server by itself, and says why if none comes. Before the last hand lets go the scene is paused: there is
+# no knot yet, and the suture would open.
+"$BIN/client-sdk/cli/suture" device --surgeon "$SURGEON" --domain "$domain" --timeout 20 --pause-at-end \
   --log "$OUT/forces.csv" --plot "$OUT/force.svg" --summary "$OUT/summary.json" || {
   echo "--- server log:"; cat "$OUT/server.log"; exit 1; }
 

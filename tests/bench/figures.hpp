@@ -52,6 +52,9 @@ void measure_tissue(Figures& figures);
 void measure_tick(Figures& figures);
 void measure_roundtrip(Figures& figures);
 
+/// Prints what `model = "outside"` and `"path"` of a thread give on three meshes.
+void study_thread_model();
+
 /// Answers every pose of a session with a force, without any thought, until it is killed.
 [[noreturn]] void echo(std::uint32_t domain, const std::string& session);
 

@@ -34,6 +34,9 @@ int main(int argc, char** argv) {
   std::string session;
   auto* echo = app.add_option("--echo", echo_domain, "Be the bare echo in this DDS domain instead");
   app.add_option("--session", session, "Session of the echo")->needs(echo);
+  bool thread_model = false;
+  app.add_flag("--thread-model", thread_model,
+               "Compare where a thread's tension acts instead: a table, no figures");
   CLI11_PARSE(app, argc, argv);
 
   using Measure = void (*)(sutured::bench::Figures&);
@@ -46,6 +49,10 @@ int main(int argc, char** argv) {
   };
   try {
     if (*echo) sutured::bench::echo(echo_domain, session);
+    if (thread_model) {
+      sutured::bench::study_thread_model();
+      return 0;
+    }
     const std::vector<std::pair<std::string, std::string>> facts = {
         {"machine", machine()},
         {"compiler", "gcc " __VERSION__},

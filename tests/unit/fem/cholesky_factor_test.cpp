@@ -51,6 +51,59 @@ TEST(CholeskyFactor, PathColumnsReproduceTheInverse) {
   EXPECT_LT(worst, 1e-11 * inverse.cwiseAbs().maxCoeff());
 }
 
+TEST(CholeskyFactor, PathsWalkedTogetherAreThoseWalkedAlone) {
+  const Model model = two_blocks();
+  const LinearSystem system = assemble(model);
+  const CholeskyFactor factor(system);
+  // Of both blocks, in no order, with prescribed ones among them.
+  const std::vector<std::int32_t> vertices{70, 3, 95, 41, 0, 112, 64, 79, 58, 101, 33};
+  std::vector<PathColumns> together(vertices.size());
+  std::vector<PathColumns*> into;
+  for (PathColumns& columns : together) into.push_back(&columns);
+  factor.walk_paths(vertices, into);
+  for (std::size_t i = 0; i < vertices.size(); ++i) {
+    PathColumns alone;
+    factor.walk_path(vertices[i], alone);
+    EXPECT_EQ(together[i].vertex, vertices[i]);
+    EXPECT_EQ(together[i].first_supernode, alone.first_supernode);
+    ASSERT_EQ(together[i].length, alone.length);
+    double largest = 0.0, worst = 0.0;
+    for (std::size_t k = 0; k < alone.value.size(); ++k) {
+      largest = std::max(largest, std::abs(alone.value[k]));
+      worst = std::max(worst, std::abs(together[i].value[k] - alone.value[k]));
+    }
+    EXPECT_LE(worst, 1e-13 * largest);  // rounding: sums of at most a few hundred terms
+  }
+}
+
+TEST(CholeskyFactor, BlocksTakenTogetherAreThoseTakenAlone) {
+  const Model model = two_blocks();
+  const LinearSystem system = assemble(model);
+  const CholeskyFactor factor(system);
+  const std::vector<std::int32_t> vertices{70, 3, 95, 41, 0, 112, 64, 79};
+  std::vector<PathColumns> columns(vertices.size());
+  for (std::size_t i = 0; i < vertices.size(); ++i) factor.walk_path(vertices[i], columns[i]);
+  const std::vector<const PathColumns*> a{&columns[2], &columns[0], &columns[5]};
+  std::vector<const PathColumns*> b;
+  for (const PathColumns& one : columns) b.push_back(&one);
+  std::vector<double> block;
+  factor.inverse_blocks(a, b, block);
+  ASSERT_EQ(block.size(), 9 * a.size() * b.size());
+  double largest = 0.0, worst = 0.0;
+  for (std::size_t i = 0; i < a.size(); ++i)
+    for (std::size_t j = 0; j < b.size(); ++j) {
+      const Mat3 expected = factor.inverse_block(*a[i], *b[j]);
+      for (std::size_t r = 0; r < 3; ++r)
+        for (std::size_t c = 0; c < 3; ++c) {
+          const double one = expected(static_cast<Eigen::Index>(r), static_cast<Eigen::Index>(c));
+          largest = std::max(largest, std::abs(one));
+          worst = std::max(worst, std::abs(block[(3 * j + c) * 3 * a.size() + 3 * i + r] - one));
+        }
+    }
+  EXPECT_GT(largest, 0.0);
+  EXPECT_LE(worst, 1e-13 * largest);  // rounding
+}
+
 TEST(CholeskyFactor, BackwardPassOfAccumulatedForcesSolvesTheTissue) {
   const Model model = two_blocks();
   const LinearSystem system = assemble(model);

@@ -103,6 +103,49 @@ TEST(TriangleTree, FollowsMovedVerticesAfterARefit) {
   }
 }
 
+// Triangles all around a sphere, so that normals vary smoothly: cones are narrow and prune.
+TEST(TriangleTree, VisitsEveryTriangleThatFacesADirection) {
+  std::mt19937_64 random(11);
+  Soup soup;
+  std::vector<Vec3> normals;
+  for (int t = 0; t < 2000; ++t) {
+    const Vec3 out = random_point(random).normalized();
+    const Vec3 across = 0.05 * out.unitOrthogonal(), up = out.cross(across);
+    const auto first = static_cast<std::int32_t>(soup.vertices_m.size());
+    for (const Vec3& x : {Vec3(out - across), Vec3(out + across), Vec3(out + up)})
+      soup.vertices_m.push_back(x);
+    soup.triangles.push_back({first, first + 1, first + 2});
+    normals.push_back(t % 100 == 0 ? Vec3::Zero().eval() : out);  // some without area
+  }
+  const TriangleTree tree(soup.triangles, soup.vertices_m);
+  std::vector<DirectionCone> cones;
+  tree.fit_cones(normals, cones);
+  std::size_t visited_all = 0, near_all = 0;
+  for (int q = 0; q < 500; ++q) {
+    const Vec3 p = random_point(random);
+    const Box box(p - Vec3::Constant(0.3), p + Vec3::Constant(0.3));
+    const Vec3 a = random_point(random).normalized();
+    const Vec3 b = (a + 0.5 * random_point(random)).normalized();
+    const auto own = DirectionCone::merged(DirectionCone::of(a), DirectionCone::of(b));
+    for (const double cosine_max : {0.0, -0.3, -0.9}) {
+      std::vector<std::int32_t> found;
+      tree.for_each_opposing(box, cones, own, cosine_max,
+                             [&](std::int32_t t) { found.push_back(t); });
+      std::sort(found.begin(), found.end());
+      const auto near = overlaps_by_all(soup, box);
+      for (const std::int32_t t : near) {
+        const Vec3& n = normals[static_cast<std::size_t>(t)];
+        const bool faces = std::min(n.dot(a), n.dot(b)) < cosine_max;
+        EXPECT_TRUE(!faces || std::binary_search(found.begin(), found.end(), t));
+      }
+      EXPECT_TRUE(std::includes(near.begin(), near.end(), found.begin(), found.end()));
+      visited_all += found.size();
+      near_all += near.size();
+    }
+  }
+  EXPECT_LT(visited_all, near_all / 2);  // it does pass over
+}
+
 TEST(TriangleTree, LowerTriangleWinsATie) {
   // Two triangles back to back: both are equally near to anything.
   const std::vector<Vec3> x{{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
