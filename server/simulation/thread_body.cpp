@@ -669,7 +669,7 @@ void ThreadBody::report(const TissueState& tissue, ThreadState& state) const {
   for (const Span& span : spans_) {
     const double spare = span.length_m + span.compliance_m_per_n * span.tension_n -
                          counted_length_m(span.first, span.last);
-    state.slack_m += std::max(spare, 0.0);
+    if (span.tension_n == 0.0) state.slack_m += std::max(spare, 0.0);
     state.overlength_m = std::max(state.overlength_m, -spare);
     state.taut = state.taut || span.tension_n > 0.0;
   }

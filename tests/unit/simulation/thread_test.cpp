@@ -324,6 +324,8 @@ TEST(Thread, TellsOnceThatItIsTautAndOnceThatItIsSlack) {
   hands.step(10);
   EXPECT_EQ(hands.count(EventKind::kTaut), 1);
   EXPECT_EQ(hands.count(EventKind::kSlack), 0);
+  EXPECT_EQ(hands.thread().slack_m, 0.0);
+  EXPECT_LT(hands.thread().overlength_m, 1e-9);  // what the grips give way is not overlength
   hands.move_by(kAssistant, Vec3(-2e-3, 0.0, -2e-3));
   hands.step(10);
   EXPECT_EQ(hands.thread().tension_n, 0.0);
