@@ -24,8 +24,8 @@ constexpr double kSlipsFurther = 0.8;
 constexpr double kTorqueArm_m = 0.01;
 // Rows of a probe at most: the nearest features of the surface.
 constexpr std::size_t kProbeRowsMax = 8;
-// As small as between tissues: where the probe stands beside an edge, two rows carry what one did, and the
-// force must not show it.
+// As small as between tissues: where the probe stands beside an edge, two rows carry what one did,
+// and the force must not show it.
 constexpr double kProbeComplianceTimesModulus = 2e-5 * 2e5;
 // Two closest points this near are the same feature seen from two triangles.
 constexpr double kSameFeature_m = 1e-7;

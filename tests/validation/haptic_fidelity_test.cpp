@@ -79,7 +79,8 @@ TEST(HapticFidelity, OfANeedleInTissueIsWithinOnePercentOfAResolve) {
     if (response.world_changed || !response.touching) changed_s = time_s;
     // A new cell on the needle's path is a step of the simulation that no model can foresee;
     // a tip that touches has the face's normal in it, which changes as it slides.
-    bool tip_touches = false;  // or the shaft, or a taut thread: rows that may switch and carry force
+    bool tip_touches =
+        false;  // or the shaft, or a taut thread: rows that may switch and carry force
     for (Eigen::Index i = 0; i < response.condensed.multiplier_n.size(); ++i)
       tip_touches = tip_touches || response.condensed.multiplier_n[i] > 0.0;
     for (int i = 0; used && i < used->model.rows; ++i)
