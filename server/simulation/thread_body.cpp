@@ -377,6 +377,9 @@ void ThreadBody::draw() {
                  : description_.tail == scene::ThreadTail::kFree ? tail_out_m_
                                                                  : 0.0;
     if (!std::isfinite(arc)) arc = 0.0;
+    // What lies before the first hold has no more thread than that hold leaves.
+    const double before_first = first > 0 ? chain_[at(first)].arc_m : description_.length_m;
+    arc = std::min(arc, before_first);
     if (arc > 0.0) add(hang(chain_[0], arc), 0.0, 0, -1);
     std::size_t span = 0;
     for (int i = 0; i < n; ++i) {
@@ -405,6 +408,7 @@ void ThreadBody::draw() {
       arc += piece;
       // A span that is stretched has less thread than it is long.
       if (spanned) arc = std::min(arc, chain_[at(spans_[span].last)].arc_m);
+      if (i < first) arc = std::min(arc, before_first);
     }
     const double rest = last == n - 1 && chain_[at(n - 1)].kind == Kind::kNeedle
                             ? 0.0
