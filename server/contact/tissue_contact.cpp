@@ -152,7 +152,6 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
   bool changed = false;
   for (std::size_t i = 0; i < vertices.size(); ++i) {
     if (vertex_due_[i] > motion_m_) continue;
-    ++searches_;
     changed = true;
     const std::int32_t v = vertices[i];
     const Vec3& x = positions_m[at(v)];
@@ -183,7 +182,6 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
   const auto edges = features_.edges();
   for (std::size_t i = 0; i < edges.size(); ++i) {
     if (edge_due_[i] > motion_m_) continue;
-    ++searches_;
     changed = true;
     const SurfaceEdge& edge = edges[i];
     const Vec3 &a = positions_m[at(edge.vertices[0])], &b = positions_m[at(edge.vertices[1])];

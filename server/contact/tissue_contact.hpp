@@ -84,8 +84,6 @@ class TissueContact {
 
   [[nodiscard]] std::span<const Pair> pairs() const { return pairs_; }
   [[nodiscard]] int tissue_of(const Pair& pair, bool second) const;
-  /// Searches of the broad phase so far: how often something looked again.
-  [[nodiscard]] std::uint64_t searches() const { return searches_; }
 
  private:
   void search(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree);
@@ -121,7 +119,6 @@ class TissueContact {
   std::vector<std::size_t> close_vertices_, close_edges_;  ///< with candidates
   std::vector<Pair> pairs_, known_;                        ///< now; of the choice before, by key
   int first_row_ = 0;
-  std::uint64_t searches_ = 0;
 };
 
 }  // namespace sutured::contact
