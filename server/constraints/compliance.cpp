@@ -313,15 +313,6 @@ void Compliance::displacements_m(std::span<const double> offset, std::span<doubl
   factor_->backward(forward_, offset, u);
 }
 
-fem::Mat3 Compliance::inverse_block(std::int32_t v, std::int32_t w) {
-  const int a = slot_of(v), b = slot_of(w);
-  ensure_pair(a, b);
-  fem::Mat3 block;
-  for (int r = 0; r < 3; ++r)
-    for (int c = 0; c < 3; ++c) block(r, c) = g_row(3 * a + r)[3 * b + c];
-  return block;
-}
-
 int Compliance::cached_vertices() const {
   return static_cast<int>(std::count_if(columns_.begin(), columns_.begin() + high_water_,
                                         [](const auto& column) { return column.vertex >= 0; }));

@@ -64,9 +64,6 @@ class Compliance {
   /// backward pass.
   void displacements_m(std::span<const double> offset, std::span<double> u);
 
-  /// Returns block (v, w) of K⁻¹, m/N.
-  [[nodiscard]] fem::Mat3 inverse_block(std::int32_t v, std::int32_t w);
-
   [[nodiscard]] int cached_vertices() const;
   [[nodiscard]] std::uint64_t walks() const { return walks_; }
 

@@ -134,14 +134,12 @@ void NeedleBody::find_tip_contact(const TissueState& tissue, double reach_m) {
       tip_.at = ahead->first;
     }
     tip_.normal = needle::normal(view, tip_.at.triangle);
-    tip_.distance_m = tip_.normal.dot(needle::position(view, tip_.at) - tip);
     return;
   }
   if (tip_.side == TipContact::Side::kInside) tip_ = {};
   if (tip_.side == TipContact::Side::kOutside && tip_.pressing) {
     // It stands on the material point where it came down.
     tip_.normal = needle::normal(view, tip_.at.triangle);
-    tip_.distance_m = tip_.normal.dot(tip - needle::position(view, tip_.at));
     return;
   }
   tip_ = {};
@@ -149,7 +147,7 @@ void NeedleBody::find_tip_contact(const TissueState& tissue, double reach_m) {
   // another wall.
   if (const auto entry = needle::Path::first_entry(view, curve_, pose_, curve_.length_m(),
                                                    curve_.length_m() + reach_m)) {
-    meet(view, entry->first, tip);
+    meet(view, entry->first);
     return;
   }
   const auto nearest = view.tree->nearest(tip, 2.0 * reach_m + 1e-3, view.positions_m);
@@ -165,15 +163,13 @@ void NeedleBody::find_tip_contact(const TissueState& tissue, double reach_m) {
   if (std::sqrt(nearest->closest.squared_distance_m2) > reach_m &&
       needle::normal(view, nearest->triangle).dot(tip - nearest->closest.point_m) >= 0.0)
     return;
-  meet(view, {nearest->triangle, nearest->closest.barycentric}, tip);
+  meet(view, {nearest->triangle, nearest->closest.barycentric});
 }
 
-void NeedleBody::meet(const needle::TissueView& view, const needle::BoundaryPoint& point,
-                      const Vec3& tip) {
+void NeedleBody::meet(const needle::TissueView& view, const needle::BoundaryPoint& point) {
   tip_.side = TipContact::Side::kOutside;
   tip_.at = point;
   tip_.normal = needle::normal(view, point.triangle);
-  tip_.distance_m = tip_.normal.dot(tip - needle::position(view, point));
 }
 
 void NeedleBody::add_rows(const TissueState& tissue, ConstraintRows& rows) {

@@ -38,7 +38,6 @@ struct TipContact {
   Side side = Side::kNone;
   needle::BoundaryPoint at;
   Vec3 normal = Vec3::UnitZ();  ///< outward, of the surface
-  double distance_m = 0.0;      ///< before the step, positive while apart
   bool pressing = false;        ///< the normal row carried force in the last solve
   bool slipping = false;        ///< the tangential rows are at the cone in this solve
   Vec3 slip_direction = Vec3::Zero();
@@ -103,7 +102,7 @@ class NeedleBody {
 
  private:
   void find_tip_contact(const TissueState& tissue, double reach_m);
-  void meet(const needle::TissueView& view, const needle::BoundaryPoint& point, const Vec3& tip);
+  void meet(const needle::TissueView& view, const needle::BoundaryPoint& point);
   void puncture(const TissueState& tissue, double time_s, std::vector<Event>& events);
 
   const scene::Scene* scene_;
