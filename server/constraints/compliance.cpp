@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <numeric>
 #include <utility>
 
 #include "fem/simd_kernel.hpp"
@@ -40,8 +41,10 @@ constexpr std::size_t kPitchPadding = 8;
 constexpr std::int64_t kBlockColumns = 96;
 // Vertices to begin with: the paper's scene fits.
 constexpr int kCapacity = 384;
+// Vertices that `prepare` takes at a time.
+constexpr std::size_t kPrepareBatch = 64;
 // From so many new vertices on their blocks of G are taken as matrix products.
-constexpr int kBatchMin = 4;
+constexpr std::size_t kBatchMin = 4;
 
 }  // namespace
 
@@ -100,12 +103,16 @@ void Compliance::walk_new(const ConstraintRows& rows) {
     for (const Entry& entry : rows.entries(rows[i]))
       if (slot_of_vertex_[static_cast<std::size_t>(entry.vertex)] < 0)
         new_vertices_.push_back(entry.vertex);
-  new_slots_.clear();
-  if (new_vertices_.empty()) return;
   std::sort(new_vertices_.begin(), new_vertices_.end());
   new_vertices_.erase(std::unique(new_vertices_.begin(), new_vertices_.end()), new_vertices_.end());
+  walk(new_vertices_);
+}
+
+/// Gives each of `vertices`, none of which is known, a slot and its path.
+void Compliance::walk(std::span<const std::int32_t> vertices) {
   new_slots_.clear();
-  for (const std::int32_t vertex : new_vertices_) {
+  if (vertices.empty()) return;
+  for (const std::int32_t vertex : vertices) {
     const int slot = free_slot();
     columns_[static_cast<std::size_t>(slot)].vertex = vertex;  // taken
     slot_of_vertex_[static_cast<std::size_t>(vertex)] = slot;
@@ -114,8 +121,22 @@ void Compliance::walk_new(const ConstraintRows& rows) {
   new_columns_.clear();  // only now: taking slots may have moved them
   for (const int slot : new_slots_)
     new_columns_.push_back(&columns_[static_cast<std::size_t>(slot)]);
-  factor_->walk_paths(new_vertices_, new_columns_);
-  walks_ += new_vertices_.size();
+  factor_->walk_paths(vertices, new_columns_);
+  walks_ += vertices.size();
+}
+
+void Compliance::prepare(std::span<const std::int32_t> vertices) {
+  if (static_cast<int>(vertices.size()) + kCapacity > capacity_)
+    grow(static_cast<int>(vertices.size()) + kCapacity);
+  // A few at a time, so that what their products are taken from stays small.
+  for (std::size_t first = 0; first < vertices.size(); first += kPrepareBatch) {
+    walk(vertices.subspan(first, std::min(kPrepareBatch, vertices.size() - first)));
+    active_.resize(static_cast<std::size_t>(high_water_));
+    std::iota(active_.begin(), active_.end(), 0);
+    ensure_pairs();
+  }
+  active_.clear();
+  prepared_ = static_cast<int>(vertices.size());
 }
 
 void Compliance::ensure_pair(int a, int b) {
@@ -129,60 +150,90 @@ void Compliance::ensure_pair(int a, int b) {
   known_[i * n + j] = known_[j * n + i] = 1;
 }
 
+/// Computes G between slots `a` and `b`, as one matrix product a supernode.
+void Compliance::make_pairs(std::span<const int> a, std::span<const int> b) {
+  if (a.empty() || b.empty()) return;
+  const auto gather = [&](std::span<const int> slots, std::vector<const fem::PathColumns*>& out) {
+    out.clear();
+    for (const int slot : slots) out.push_back(&columns_[static_cast<std::size_t>(slot)]);
+  };
+  gather(a, columns_a_);
+  gather(b, columns_b_);
+  factor_->inverse_blocks(columns_a_, columns_b_, new_blocks_);
+  const std::size_t rows = 3 * a.size();
+  const auto n = static_cast<std::size_t>(capacity_);
+  for (std::size_t k = 0; k < b.size(); ++k)
+    for (std::size_t l = 0; l < a.size(); ++l) {
+      const int i = a[l], j = b[k];
+      const double* block = new_blocks_.data() + 3 * k * rows + 3 * l;
+      for (int r = 0; r < 3; ++r)
+        for (int c = 0; c < 3; ++c)
+          g_row(3 * i + r)[3 * j + c] = g_row(3 * j + c)[3 * i + r] =
+              block[static_cast<std::size_t>(c) * rows + static_cast<std::size_t>(r)];
+      known_[static_cast<std::size_t>(i) * n + static_cast<std::size_t>(j)] =
+          known_[static_cast<std::size_t>(j) * n + static_cast<std::size_t>(i)] = 1;
+    }
+}
+
 /// Sees that G holds every pair of active vertices.
 void Compliance::ensure_pairs() {
-  if (static_cast<int>(new_slots_.size()) >= kBatchMin) {
-    joining_columns_.assign(new_columns_.begin(), new_columns_.end());
-    active_columns_.clear();
-    for (const int slot : active_)
-      active_columns_.push_back(&columns_[static_cast<std::size_t>(slot)]);
-    factor_->inverse_blocks(joining_columns_, active_columns_, new_blocks_);
-    const std::size_t rows = 3 * new_slots_.size();
-    const auto n = static_cast<std::size_t>(capacity_);
-    for (std::size_t b = 0; b < active_.size(); ++b)
-      for (std::size_t a = 0; a < new_slots_.size(); ++a) {
-        const int i = new_slots_[a], j = active_[b];
-        const double* block = new_blocks_.data() + 3 * b * rows + 3 * a;
-        for (int r = 0; r < 3; ++r)
-          for (int c = 0; c < 3; ++c)
-            g_row(3 * i + r)[3 * j + c] = g_row(3 * j + c)[3 * i + r] =
-                block[static_cast<std::size_t>(c) * rows + static_cast<std::size_t>(r)];
-        known_[static_cast<std::size_t>(i) * n + static_cast<std::size_t>(j)] =
-            known_[static_cast<std::size_t>(j) * n + static_cast<std::size_t>(i)] = 1;
-      }
+  if (active_ == paired_) return;
+  // Those that were not there the last time and lack a pair: the prepared only with others.
+  const auto others = std::lower_bound(active_.begin(), active_.end(), prepared_);
+  const std::span<const int> all(active_), unprepared(others, active_.end());
+  const auto n = static_cast<std::size_t>(capacity_);
+  joining_.clear();
+  joining_prepared_.clear();
+  for (const int slot : active_) {
+    if (std::binary_search(paired_.begin(), paired_.end(), slot)) continue;
+    const std::uint8_t* known = known_.data() + static_cast<std::size_t>(slot) * n;
+    const bool prepared = slot < prepared_;
+    const auto partners = prepared ? unprepared : all;
+    if (std::all_of(partners.begin(), partners.end(), [&](int other) { return known[other]; }))
+      continue;
+    (prepared ? joining_prepared_ : joining_).push_back(slot);
   }
-  if (new_slots_.empty() && active_ == paired_) return;
-  for (std::size_t a = 0; a < active_.size(); ++a)
-    for (std::size_t b = 0; b <= a; ++b) ensure_pair(active_[a], active_[b]);
+  if (joining_.size() + joining_prepared_.size() >= kBatchMin) {
+    make_pairs(joining_, all);
+    make_pairs(joining_prepared_, unprepared);
+  } else {
+    for (const int slot : joining_)
+      for (const int other : all) ensure_pair(slot, other);
+    for (const int slot : joining_prepared_)
+      for (const int other : unprepared) ensure_pair(slot, other);
+  }
   paired_ = active_;
 }
 
 void Compliance::clear() {
-  std::fill(slot_of_vertex_.begin(), slot_of_vertex_.end(), -1);
-  for (fem::PathColumns& columns : columns_) columns.vertex = -1;
-  std::fill(known_.begin(), known_.end(), std::uint8_t{0});
+  for (int slot = prepared_; slot < high_water_; ++slot) forget(slot);
   std::fill(last_used_.begin(), last_used_.end(), std::uint64_t{0});
   std::fill(force_n_.begin(), force_n_.end(), Vec3::Zero());
   active_.clear();
   loaded_.clear();
-  high_water_ = 0;
+  high_water_ = prepared_;
   step_ = 0;
 }
 
+void Compliance::forget(int slot) {
+  const auto s = static_cast<std::size_t>(slot), n = static_cast<std::size_t>(capacity_);
+  std::int32_t& vertex = columns_[s].vertex;
+  if (vertex < 0) return;
+  slot_of_vertex_[static_cast<std::size_t>(vertex)] = -1;
+  vertex = -1;
+  std::erase(paired_, slot);
+  for (std::size_t other = 0; other < n; ++other) known_[s * n + other] = known_[other * n + s] = 0;
+}
+
 void Compliance::evict(int idle_steps_max) {
-  const auto n = static_cast<std::size_t>(capacity_);
-  for (int slot = 0; slot < high_water_; ++slot) {
-    const auto s = static_cast<std::size_t>(slot);
-    if (columns_[s].vertex < 0 ||
-        last_used_[s] + static_cast<std::uint64_t>(idle_steps_max) >= step_)
+  for (int slot = prepared_; slot < high_water_; ++slot) {
+    if (last_used_[static_cast<std::size_t>(slot)] + static_cast<std::uint64_t>(idle_steps_max) >=
+        step_)
       continue;
     if (std::find(loaded_.begin(), loaded_.end(), slot) != loaded_.end()) continue;
-    slot_of_vertex_[static_cast<std::size_t>(columns_[s].vertex)] = -1;
-    columns_[s].vertex = -1;
-    for (std::size_t other = 0; other < n; ++other)
-      known_[s * n + other] = known_[other * n + s] = 0;
+    forget(slot);
   }
-  while (high_water_ > 0 && columns_[static_cast<std::size_t>(high_water_ - 1)].vertex < 0)
+  while (high_water_ > prepared_ && columns_[static_cast<std::size_t>(high_water_ - 1)].vertex < 0)
     --high_water_;
 }
 
@@ -206,83 +257,106 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
   w_.size = m;
   w_.value.resize(static_cast<std::size_t>(m) * static_cast<std::size_t>(m));
   const auto stride = static_cast<std::int64_t>(pitch_);
-  const auto width = static_cast<std::int64_t>(3) * high_water_;
-  // T = C G, a block of columns at a time; a row of T is padded by one lane.
-  const auto pitch = width + 1;
-  row_times_g_.assign(static_cast<std::size_t>(m) * static_cast<std::size_t>(pitch), 0.0);
-  // Row i meets the vertices of rows up to i only, and old vertices have low slots.
+  // In the order of their last vertex, a row needs T = C G only as far as that vertex: W is
+  // symmetric, and of two rows the later one takes the product.
+  order_.resize(static_cast<std::size_t>(m));
   row_width_.resize(static_cast<std::size_t>(m));
-  std::int64_t widest = 0;
   for (int i = 0; i < m; ++i) {
     const auto begin = entry_slot_.begin() + rows[i].first_entry;
+    int last = -1;
     for (auto slot = begin; slot != begin + rows[i].entry_count; ++slot)
-      widest = std::max<std::int64_t>(widest, 3 * (*slot + 1));
-    row_width_[static_cast<std::size_t>(i)] = widest;
+      last = std::max(last, *slot);
+    row_width_[static_cast<std::size_t>(i)] = 3 * (last + 1);
+    order_[static_cast<std::size_t>(i)] = i;
   }
+  std::sort(order_.begin(), order_.end(), [&](int a, int b) {
+    return std::pair(row_width_[static_cast<std::size_t>(a)], a) <
+           std::pair(row_width_[static_cast<std::size_t>(b)], b);
+  });
+  // T, a block of columns at a time; a row of it is padded by one lane.
+  const auto width = static_cast<std::int64_t>(3) * high_water_;
+  const auto pitch = width + 1;
+  row_times_g_.resize(static_cast<std::size_t>(m) * static_cast<std::size_t>(pitch));
   for (std::int64_t first = 0; first < width; first += kBlockColumns) {
-    for (int i = 0; i < m; ++i) {
+    const auto used = std::lower_bound(active_.begin(), active_.end(), first / 3);
+    if (used == active_.end() || 3 * *used >= first + kBlockColumns) continue;  // nobody's columns
+    for (const int i : order_) {
       const auto count = std::min(kBlockColumns, row_width_[static_cast<std::size_t>(i)] - first);
       if (count <= 0) continue;
       const auto entries = rows.entries(rows[i]);
       double* t = row_times_g_.data() + i * pitch + first;
+      std::fill_n(t, count + 1, 0.0);
       for (std::size_t e = 0; e < entries.size(); ++e) {
         const auto slot = entry_slot_[static_cast<std::size_t>(rows[i].first_entry) + e];
         add_three_rows(g_row(3 * slot) + first, stride, entries[e].coefficient.data(), count, t);
       }
     }
   }
-  // W = T Cᵀ and what belongs to needles.
-  entry_offset_.resize(entry_slot_.size());
-  entry_coefficient_.resize(4 * entry_slot_.size());
-  row_first_.resize(static_cast<std::size_t>(m) + 1);
-  row_first_[static_cast<std::size_t>(m)] = static_cast<std::int32_t>(entry_slot_.size());
-  for (int i = 0; i < m; ++i) {
+  // W = T Cᵀ and what belongs to needles; C in that order, so that it is read from end to end.
+  const auto entry_count = entry_slot_.size();
+  entry_offset_.clear();
+  entry_coefficient_.resize(4 * entry_count);
+  row_first_.clear();
+  for (const int i : order_) {
+    row_first_.push_back(static_cast<std::int32_t>(entry_offset_.size()));
     const auto entries = rows.entries(rows[i]);
-    row_first_[static_cast<std::size_t>(i)] = rows[i].first_entry;
     for (std::size_t e = 0; e < entries.size(); ++e) {
-      const std::size_t k = static_cast<std::size_t>(rows[i].first_entry) + e;
-      entry_offset_[k] = 3 * entry_slot_[k];
       const Vec3& c = entries[e].coefficient;
-      std::copy_n(std::array<double, 4>{c[0], c[1], c[2], 0.0}.begin(), 4,
-                  entry_coefficient_.begin() + static_cast<std::ptrdiff_t>(4 * k));
+      std::copy_n(
+          std::array<double, 4>{c[0], c[1], c[2], 0.0}.begin(), 4,
+          entry_coefficient_.begin() + static_cast<std::ptrdiff_t>(4 * entry_offset_.size()));
+      entry_offset_.push_back(3 * entry_slot_[static_cast<std::size_t>(rows[i].first_entry) + e]);
     }
   }
-  for (int i = 0; i < m; ++i) {
+  row_first_.push_back(static_cast<std::int32_t>(entry_offset_.size()));
+  products_.resize(static_cast<std::size_t>(m));
+  for (int k = 0; k < m; ++k) {
+    const int i = order_[static_cast<std::size_t>(k)];
     const Row& row = rows[i];
     const double* t = row_times_g_.data() + i * pitch;
-    const NeedleMobility* needle =
-        row.needle >= 0 ? &needles[static_cast<std::size_t>(row.needle)] : nullptr;
-    const Vec6 response =
-        needle ? Vec6(needle->mobility * row.needle_jacobian) : Vec6::Zero().eval();
     double* column = w_.value.data() + static_cast<std::size_t>(i) * static_cast<std::size_t>(m);
-    sparse_products(entry_coefficient_.data(), entry_offset_.data(), row_first_.data(), i + 1, t,
-                    column);
-    if (needle != nullptr)
-      for (int j = 0; j <= i; ++j)
-        if (const Row& other = rows[j]; other.needle == row.needle)
-          column[j] += response.dot(other.needle_jacobian) +
-                       needle->slide_compliance_m_per_n * row.slide * other.slide;
+    sparse_products(entry_coefficient_.data(), entry_offset_.data(), row_first_.data(), k + 1, t,
+                    products_.data());
+    for (int other = 0; other <= k; ++other)
+      column[order_[static_cast<std::size_t>(other)]] = products_[static_cast<std::size_t>(other)];
     column[i] += row.compliance_m_per_n;
   }
-  for (int i = 0; i < m; ++i)
-    for (int j = 0; j < i; ++j)
-      w_.value[static_cast<std::size_t>(j) * static_cast<std::size_t>(m) +
-               static_cast<std::size_t>(i)] =
-          w_.value[static_cast<std::size_t>(i) * static_cast<std::size_t>(m) +
-                   static_cast<std::size_t>(j)];
+  const auto at = [&](int row, int column) -> double& {
+    return w_.value[static_cast<std::size_t>(column) * static_cast<std::size_t>(m) +
+                    static_cast<std::size_t>(row)];
+  };
+  for (std::size_t k = 0; k < order_.size(); ++k)
+    for (std::size_t other = 0; other < k; ++other)
+      at(order_[k], order_[other]) = at(order_[other], order_[k]);
+  for (int i = 0; i < m; ++i) {
+    const Row& row = rows[i];
+    if (row.needle < 0) continue;
+    const NeedleMobility& needle = needles[static_cast<std::size_t>(row.needle)];
+    const Vec6 response = needle.mobility * row.needle_jacobian;
+    for (int j = 0; j <= i; ++j) {
+      const Row& other = rows[j];
+      if (other.needle != row.needle) continue;
+      const double sum = response.dot(other.needle_jacobian) +
+                         needle.slide_compliance_m_per_n * row.slide * other.slide;
+      at(i, j) += sum;
+      if (i != j) at(j, i) += sum;
+    }
+  }
   return w_;
 }
 
 void Compliance::apply(const ConstraintRows& rows, std::span<const double> multiplier_n) {
   for (const int slot : loaded_) force_n_[static_cast<std::size_t>(slot)].setZero();
   loaded_.clear();
-  for (int i = 0; i < rows.size(); ++i)
+  for (int i = 0; i < rows.size(); ++i) {
+    const double lambda_n = multiplier_n[static_cast<std::size_t>(i)];
+    if (lambda_n == 0.0) continue;
     for (const Entry& entry : rows.entries(rows[i])) {
       const int slot = slot_of_vertex_[static_cast<std::size_t>(entry.vertex)];
-      force_n_[static_cast<std::size_t>(slot)] +=
-          multiplier_n[static_cast<std::size_t>(i)] * entry.coefficient;
+      force_n_[static_cast<std::size_t>(slot)] += lambda_n * entry.coefficient;
       loaded_.push_back(slot);
     }
+  }
   // In the order of vertices: slots tell what was in use before, and sums must not depend on that.
   std::sort(loaded_.begin(), loaded_.end(), [&](int a, int b) {
     return columns_[static_cast<std::size_t>(a)].vertex <

@@ -45,9 +45,15 @@ class Compliance {
  public:
   explicit Compliance(std::shared_ptr<const fem::CholeskyFactor> factor);
 
+  /// Walks the paths of `vertices` and multiplies their pairs before they are needed, the likeliest
+  /// first, and keeps them for good. Call at set-up, with nothing cached. Cost: O(V²) products of
+  /// paths; 24 V² bytes each for G, 24 V for a path's entry.
+  void prepare(std::span<const std::int32_t> vertices);
+
   /// Forgets vertices unused for `idle_steps_max` calls of `assemble`.
   void evict(int idle_steps_max);
-  /// Forgets all vertices and forces: what follows comes out to the bit as after construction.
+  /// Forgets all vertices but the prepared, and forces: what follows comes out to the bit as after
+  /// construction.
   void clear();
 
   /// Condenses the tissue and the needles onto `rows`. Cost: O(4 m V) for V vertices in use.
@@ -71,6 +77,9 @@ class Compliance {
   int slot_of(std::int32_t vertex);
   int free_slot();
   void walk_new(const ConstraintRows& rows);
+  void walk(std::span<const std::int32_t> vertices);
+  void forget(int slot);
+  void make_pairs(std::span<const int> a, std::span<const int> b);
   void ensure_pairs();
   void grow(int capacity);
   void ensure_pair(int a, int b);
@@ -82,6 +91,7 @@ class Compliance {
   int capacity_ = 0;
   std::size_t pitch_ = 0;  ///< doubles from one row of G to the next
   int high_water_ = 0;     ///< slots beyond it were never used
+  int prepared_ = 0;       ///< slots that are kept for good, the first
   std::uint64_t step_ = 0, walks_ = 0;
   std::vector<std::int32_t> slot_of_vertex_;  ///< −1 where not cached
   std::vector<fem::PathColumns> columns_;     ///< per slot; vertex −1 where free
@@ -91,14 +101,17 @@ class Compliance {
   std::vector<std::int32_t> new_vertices_;    ///< of the present rows
   std::vector<int> new_slots_;
   std::vector<fem::PathColumns*> new_columns_;
-  std::vector<const fem::PathColumns*> joining_columns_, active_columns_;
+  std::vector<const fem::PathColumns*> columns_a_, columns_b_;
+  std::vector<int> joining_, joining_prepared_;
   std::vector<double> new_blocks_;
   std::vector<int> paired_;                ///< slots whose pairs are all present
   std::vector<int> active_;                ///< slots of the present rows
   std::vector<int> entry_slot_;            ///< per entry of the present rows
-  std::vector<int> entry_offset_;          ///< 3 × its slot
-  std::vector<double> entry_coefficient_;  ///< 4 per entry, the last zero
-  std::vector<std::int32_t> row_first_;    ///< m + 1: where a row's entries begin
+  std::vector<int> order_;                 ///< the rows, by their last slot
+  std::vector<int> entry_offset_;          ///< in that order: 3 × its slot
+  std::vector<double> entry_coefficient_;  ///< likewise, 4 per entry, the last zero
+  std::vector<std::int32_t> row_first_;    ///< likewise, m + 1: where a row's entries begin
+  std::vector<double> products_;           ///< of one row with those before it
   std::vector<std::int64_t> row_width_;    ///< per row: columns of T that W needs of it
   std::vector<double> row_times_g_;        ///< T = C G, rows padded by one
   std::vector<Vec3> force_n_;              ///< per slot: Cᵀ λ

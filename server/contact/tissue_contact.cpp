@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 namespace sutured::contact {
@@ -17,6 +18,9 @@ constexpr double kReachShort_m = 1e-4, kReachLong_m = 4e-4, kReachSpeedShare = 0
 constexpr int kSlowSteps = 50;
 // What is kept lies within the reach and this.
 constexpr double kMargin_m = 2e-4;
+// Where nothing is near, how far beyond the reach it is looked for, at least (on a coarse surface,
+// an edge's length): the farther it is, the later to look again.
+constexpr double kFar_m = 5e-4;
 // Deeper than this a vertex is taken to be on another side of the body.
 constexpr double kDepthMax_m = 8e-4;
 // A pair that is new is no deeper than this and what two steps at the present speed press in.
@@ -58,16 +62,23 @@ TissueContact::TissueContact(const geometry::BoundarySurface& surface, std::span
       near_vertex_(features_.vertices().size()),
       near_edge_(features_.edges().size()),
       vertex_due_(features_.vertices().size()),
-      edge_due_(features_.edges().size()) {
+      edge_due_(features_.edges().size()),
+      vertex_clear_(features_.vertices().size()),
+      edge_clear_(features_.edges().size()) {
   for (const SurfaceEdge& edge : features_.edges())
     edge_length_m_ += (rest_m_[at(edge.vertices[0])] - rest_m_[at(edge.vertices[1])]).norm();
   edge_length_m_ /= static_cast<double>(std::max<std::size_t>(1, features_.edges().size()));
+  far_m_ = std::max(kFar_m, edge_length_m_);
+  renew_normals(rest_m_);
+  rest_normals_ = normals_;
   reset();
 }
 
 void TissueContact::reset() {
   std::fill(vertex_due_.begin(), vertex_due_.end(), -1.0);
   std::fill(edge_due_.begin(), edge_due_.end(), -1.0);
+  std::fill(vertex_clear_.begin(), vertex_clear_.end(), far_m_);
+  std::fill(edge_clear_.begin(), edge_clear_.end(), far_m_);
   for (auto& list : near_vertex_) list.clear();
   for (auto& list : near_edge_) list.clear();
   close_vertices_.clear();
@@ -110,10 +121,9 @@ bool TissueContact::admit(Pair& pair) const {
 
 /// Whether the vertex lies behind the triangle at rest already, on the other side of the wall.
 bool TissueContact::through_solid(std::int32_t vertex, std::int32_t triangle) const {
-  const auto& t = surface_->triangles[at(triangle)];
-  const auto there =
-      vertex_face(rest_m_[at(vertex)], rest_m_[at(t[0])], rest_m_[at(t[1])], rest_m_[at(t[2])]);
-  return !there.valid || there.gap_m < -kRestBehind_m;
+  const Vec3& corner_m = rest_m_[at(surface_->triangles[at(triangle)][0])];
+  // Not: a triangle without an area has no normal, and no other side.
+  return !(rest_normals_[at(triangle)].dot(rest_m_[at(vertex)] - corner_m) >= -kRestBehind_m);
 }
 
 Vec3 TissueContact::edge_normal(const SurfaceEdge& edge) const {
@@ -132,14 +142,73 @@ int TissueContact::tissue_of(const Pair& pair, bool second) const {
   return tissue_of_triangle_[at(triangle_of(pair, second))];
 }
 
+void TissueContact::renew_normals(std::span<const Vec3> positions_m) {
+  const auto& triangles = surface_->triangles;
+  for (std::size_t t = 0; t < triangles.size(); ++t) {
+    const Vec3 &a = positions_m[at(triangles[t][0])], &b = positions_m[at(triangles[t][1])],
+               &c = positions_m[at(triangles[t][2])];
+    normals_[t] = (b - a).cross(c - a).normalized();
+  }
+}
+
+/// Visits (triangle, distance from it) where the surface faces `vertex` in the box of `radius_m`.
+template <typename Visit>
+void TissueContact::for_each_facing(std::int32_t vertex, double radius_m,
+                                    std::span<const Vec3> positions_m,
+                                    const geometry::TriangleTree& tree, Visit&& visit) const {
+  const auto& triangles = surface_->triangles;
+  const Vec3& x = positions_m[at(vertex)];
+  const Vec3 half = Vec3::Constant(radius_m);
+  const auto own = features_.triangles_at(vertex);
+  auto cone = geometry::DirectionCone::of(normals_[at(own[0])]);
+  for (const auto mine : own)
+    cone = geometry::DirectionCone::merged(cone, geometry::DirectionCone::of(normals_[at(mine)]));
+  tree.for_each_opposing({x - half, x + half}, cones_, cone, kFacingCosine, [&](std::int32_t t) {
+    const auto& corners = triangles[at(t)];
+    if (shares_vertex(corners, vertex)) return;
+    const Vec3& n = normals_[at(t)];
+    if (std::none_of(own.begin(), own.end(),
+                     [&](auto mine) { return normals_[at(mine)].dot(n) < kFacingCosine; }))
+      return;
+    const bool self = tissue_of_triangle_[at(own[0])] == tissue_of_triangle_[at(t)];
+    if (self && through_solid(vertex, t)) return;
+    const auto closest = geometry::closest_point_on_triangle(
+        x, positions_m[at(corners[0])], positions_m[at(corners[1])], positions_m[at(corners[2])]);
+    visit(t, std::sqrt(closest.squared_distance_m2));
+  });
+}
+
+std::vector<std::int32_t> TissueContact::facing_vertices(std::span<const Vec3> positions_m,
+                                                         const geometry::TriangleTree& tree,
+                                                         double distance_m) {
+  renew_normals(positions_m);
+  tree.fit_cones(normals_, cones_);
+  std::vector<std::pair<double, std::int32_t>> found;
+  for (const std::int32_t v : features_.vertices()) {
+    double nearest = std::numeric_limits<double>::infinity();
+    for_each_facing(v, distance_m, positions_m, tree,
+                    [&](std::int32_t, double d) { nearest = std::min(nearest, d); });
+    if (nearest <= distance_m) found.emplace_back(nearest, v);
+  }
+  std::sort(found.begin(), found.end());
+  std::vector<std::int32_t> vertices;
+  for (const auto& [_, v] : found) vertices.push_back(v);
+  return vertices;
+}
+
 void TissueContact::search(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree) {
-  const double kept = reach_m_ + kMargin_m, radius = kept + 0.25 * edge_length_m_;
+  const double kept = reach_m_ + kMargin_m;
+  // A little farther than what was clear when it was last looked: surfaces that come closer are
+  // looked for in ever smaller boxes.
+  const double near = kMargin_m + 0.25 * edge_length_m_;
+  const auto look_for = [&](double clear) {
+    return reach_m_ + std::clamp(1.2 * clear, near, std::max(near, far_m_));
+  };
   // Not all look again at once.
   const auto spread = [](std::size_t i) {
     return 0.5 + 0.5 * static_cast<double>((i * 2654435761U) % 1024U) / 1024.0;
   };
   const auto vertices = features_.vertices();
-  const auto& triangles = surface_->triangles;
   const auto facing = [&](std::int32_t a, std::int32_t b) {
     return normals_[at(a)].dot(normals_[at(b)]) < kFacingCosine;
   };
@@ -153,30 +222,16 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
   for (std::size_t i = 0; i < vertices.size(); ++i) {
     if (vertex_due_[i] > motion_m_) continue;
     changed = true;
-    const std::int32_t v = vertices[i];
-    const Vec3& x = positions_m[at(v)];
-    double nearest = radius;
     near_vertex_[i].clear();
-    const Vec3 half = Vec3::Constant(radius);
-    const auto own = features_.triangles_at(v);
-    auto cone = geometry::DirectionCone::of(normals_[at(own[0])]);
-    for (const auto mine : own)
-      cone = geometry::DirectionCone::merged(cone, geometry::DirectionCone::of(normals_[at(mine)]));
-    tree.for_each_opposing({x - half, x + half}, cones_, cone, kFacingCosine, [&](std::int32_t t) {
-      if (shares_vertex(triangles[at(t)], v)) return;
-      if (std::none_of(own.begin(), own.end(), [&](auto mine) { return facing(mine, t); })) return;
-      const bool self = tissue_of_triangle_[at(own[0])] == tissue_of_triangle_[at(t)];
-      if (self && through_solid(v, t)) return;
-      const auto closest = geometry::closest_point_on_triangle(
-          x, positions_m[at(triangles[at(t)][0])], positions_m[at(triangles[at(t)][1])],
-          positions_m[at(triangles[at(t)][2])]);
-      const double distance = std::sqrt(closest.squared_distance_m2);
+    const double within = look_for(vertex_clear_[i]);
+    double nearest = within;
+    for_each_facing(vertices[i], within, positions_m, tree, [&](std::int32_t t, double distance) {
       if (distance <= kept) near_vertex_[i].push_back(t);
       nearest = std::min(nearest, distance);
     });
-    // What is kept holds for half the margin; where nothing is near, for longer.
-    const double clear = near_vertex_[i].empty() ? nearest - reach_m_ : kMargin_m;
-    vertex_due_[i] = motion_m_ + 0.5 * spread(i) * clear;
+    // What is kept holds for half the margin; where nothing is near, for half of what is clear.
+    vertex_clear_[i] = near_vertex_[i].empty() ? nearest - reach_m_ : kMargin_m;
+    vertex_due_[i] = motion_m_ + 0.5 * spread(i) * vertex_clear_[i];
     std::sort(near_vertex_[i].begin(), near_vertex_[i].end());
   }
   const auto edges = features_.edges();
@@ -185,13 +240,14 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
     changed = true;
     const SurfaceEdge& edge = edges[i];
     const Vec3 &a = positions_m[at(edge.vertices[0])], &b = positions_m[at(edge.vertices[1])];
-    double nearest = radius;
     near_edge_[i].clear();
-    const Vec3 half = Vec3::Constant(radius);
     auto cone = geometry::DirectionCone::of(normals_[at(edge.triangles[0])]);
     if (edge.triangles[1] >= 0)
       cone = geometry::DirectionCone::merged(
           cone, geometry::DirectionCone::of(normals_[at(edge.triangles[1])]));
+    const double within = look_for(edge_clear_[i]);
+    double nearest = within;
+    const Vec3 half = Vec3::Constant(within);
     const geometry::Box box(a.cwiseMin(b) - half, a.cwiseMax(b) + half);
     tree.for_each_opposing(box, cones_, cone, kFacingCosine, [&](std::int32_t t) {
       if (!facing(edge.triangles[0], t) &&
@@ -213,8 +269,8 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
         nearest = std::min(nearest, distance);
       }
     });
-    const double clear = near_edge_[i].empty() ? nearest - reach_m_ : kMargin_m;
-    edge_due_[i] = motion_m_ + 0.5 * spread(i) * clear;
+    edge_clear_[i] = near_edge_[i].empty() ? nearest - reach_m_ : kMargin_m;
+    edge_due_[i] = motion_m_ + 0.5 * spread(i) * edge_clear_[i];
     std::sort(near_edge_[i].begin(), near_edge_[i].end());
     near_edge_[i].erase(std::unique(near_edge_[i].begin(), near_edge_[i].end()),
                         near_edge_[i].end());
@@ -338,12 +394,7 @@ void TissueContact::update(std::span<const Vec3> positions_m, const geometry::Tr
     slow_steps_ = speed_m_ < 0.5 * kReachSpeedShare * kReachShort_m ? slow_steps_ + 1 : 0;
     if (slow_steps_ > kSlowSteps) reach_m_ = kReachShort_m;
   }
-  const auto& triangles = surface_->triangles;
-  for (std::size_t t = 0; t < triangles.size(); ++t) {
-    const Vec3 &a = positions_m[at(triangles[t][0])], &b = positions_m[at(triangles[t][1])],
-               &c = positions_m[at(triangles[t][2])];
-    normals_[t] = (b - a).cross(c - a).normalized();
-  }
+  renew_normals(positions_m);
   search(positions_m, tree);
   if (chosen_at_m_ < 0.0 || motion_m_ - chosen_at_m_ > kChoose_m) {
     choose(positions_m);

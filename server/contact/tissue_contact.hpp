@@ -78,6 +78,12 @@ class TissueContact {
   /// Finds and renews the pairs where the tissue is now. `tree` is over the surface, refit.
   void update(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree);
 
+  /// Returns the vertices of the boundary that face another part of it, or of another tissue,
+  /// within `distance_m`, nearest first: those that contact may want. Cost: a search. For set-up.
+  [[nodiscard]] std::vector<std::int32_t> facing_vertices(std::span<const Vec3> positions_m,
+                                                          const geometry::TriangleTree& tree,
+                                                          double distance_m);
+
   /// Adds a row per pair.
   void add_rows(constraints::ConstraintRows& rows);
   void read(std::span<const double> lambda);
@@ -86,6 +92,10 @@ class TissueContact {
   [[nodiscard]] int tissue_of(const Pair& pair, bool second) const;
 
  private:
+  void renew_normals(std::span<const Vec3> positions_m);
+  template <typename Visit>
+  void for_each_facing(std::int32_t vertex, double radius_m, std::span<const Vec3> positions_m,
+                       const geometry::TriangleTree& tree, Visit&& visit) const;
   void search(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree);
   void choose(std::span<const Vec3> positions_m);
   void choose_vertex(std::int32_t vertex, std::span<const std::int32_t> triangles,
@@ -103,10 +113,11 @@ class TissueContact {
 
   const geometry::BoundarySurface* surface_ = nullptr;
   SurfaceFeatures features_;
-  std::vector<Vec3> rest_m_;
+  std::vector<Vec3> rest_m_, rest_normals_;  ///< per vertex of the mesh; per triangle
   std::vector<int> tissue_of_triangle_;
   std::vector<double> young_modulus_pa_;
   double edge_length_m_ = 0.0;  ///< mean
+  double far_m_ = 0.0;          ///< how far beyond the reach features are looked for
 
   std::vector<Vec3> last_m_, normals_;  ///< per surface vertex; per triangle
   double reach_m_ = 0.0;                ///< no pair is farther apart
@@ -115,7 +126,8 @@ class TissueContact {
   double motion_m_ = 0.0, chosen_at_m_ = -1.0, speed_m_ = 0.0;
   std::vector<geometry::DirectionCone> cones_;  ///< per node of the tree
   std::vector<std::vector<std::int32_t>> near_vertex_, near_edge_;
-  std::vector<double> vertex_due_, edge_due_;
+  std::vector<double> vertex_due_, edge_due_;              ///< motion_m_ at which to look again
+  std::vector<double> vertex_clear_, edge_clear_;          ///< beyond the reach, when last looked
   std::vector<std::size_t> close_vertices_, close_edges_;  ///< with candidates
   std::vector<Pair> pairs_, known_;                        ///< now; of the choice before, by key
   int first_row_ = 0;

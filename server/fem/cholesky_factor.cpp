@@ -4,10 +4,14 @@
 #include <cholmod.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
+#include <optional>
 #include <random>
 #include <string>
+#include <system_error>
+#include <thread>
 
 #include "fem/simd_kernel.hpp"
 
@@ -74,6 +78,27 @@ SUTURED_KERNEL void dot_four_columns(const double* l, std::int64_t l_stride, con
   d[1] = d1;
   d[2] = d2;
   d[3] = d3;
+}
+
+/// d[k] = L[:, k] · t for eight columns.
+SUTURED_KERNEL void dot_eight_columns(const double* l, std::int64_t l_stride, const double* t,
+                                      std::int64_t count, double* d) {
+  const double *l0 = l, *l1 = l0 + l_stride, *l2 = l1 + l_stride, *l3 = l2 + l_stride;
+  const double *l4 = l3 + l_stride, *l5 = l4 + l_stride, *l6 = l5 + l_stride, *l7 = l6 + l_stride;
+  double d0 = 0, d1 = 0, d2 = 0, d3 = 0, d4 = 0, d5 = 0, d6 = 0, d7 = 0;
+#pragma omp simd reduction(+ : d0, d1, d2, d3, d4, d5, d6, d7)
+  for (std::int64_t i = 0; i < count; ++i) {
+    d0 += l0[i] * t[i];
+    d1 += l1[i] * t[i];
+    d2 += l2[i] * t[i];
+    d3 += l3[i] * t[i];
+    d4 += l4[i] * t[i];
+    d5 += l5[i] * t[i];
+    d6 += l6[i] * t[i];
+    d7 += l7[i] * t[i];
+  }
+  const double sums[8] = {d0, d1, d2, d3, d4, d5, d6, d7};
+  std::copy_n(sums, 8, d);
 }
 
 SUTURED_KERNEL double dot_one_column(const double* l, const double* t, std::int64_t count) {
@@ -210,6 +235,9 @@ std::vector<std::int64_t> nodal_order(const LinearSystem& system, cholmod_common
   return result;
 }
 
+// No subtree of a share is larger than this part of L, so that the shares come out even.
+constexpr std::int64_t kSubtreeShare = 16;
+
 }  // namespace
 
 struct CholeskyFactor::Impl {
@@ -222,8 +250,13 @@ struct CholeskyFactor::Impl {
   std::vector<std::int32_t> parent;           ///< per supernode, −1 at a root
   std::vector<std::int32_t> columns_to_root;  ///< per supernode, itself included
   std::vector<std::int32_t> level;            ///< per supernode, 0 at a root
-  mutable std::vector<double> panel;          ///< workspace of `backward`
+  std::vector<double> inverse_diagonal;       ///< 1 / L_jj: a product is faster than a division
   std::int64_t panel_rows_max = 0;
+  /// Supernodes in the order of `backward`: first those near the roots, then two shares that do not
+  /// depend on each other; all in `near_roots` where L is small.
+  std::vector<std::int32_t> near_roots;
+  std::array<std::vector<std::int32_t>, 2> shares;
+  mutable std::array<std::vector<double>, 2> panels;  ///< workspaces of `backward`, one a thread
   // A copy of K for the condition estimate and residuals.
   std::vector<std::int64_t> column_start, row;
   std::vector<double> value;
@@ -243,6 +276,9 @@ struct CholeskyFactor::Impl {
     return static_cast<const std::int64_t*>(factor->s);
   }
   [[nodiscard]] const double* values() const { return static_cast<const double*>(factor->x); }
+
+  void share_backward(std::int64_t shared_values);
+  void backward(std::span<const std::int32_t> supernodes, double* x, double* z) const;
 
   [[nodiscard]] std::int32_t common_ancestor(std::int32_t a, std::int32_t b) const {
     if (a < 0 || b < 0) return -1;
@@ -273,7 +309,8 @@ struct CholeskyFactor::Impl {
   }
 };
 
-CholeskyFactor::CholeskyFactor(const LinearSystem& system) : impl_(std::make_unique<Impl>()) {
+CholeskyFactor::CholeskyFactor(const LinearSystem& system, std::int64_t shared_values)
+    : impl_(std::make_unique<Impl>()) {
   Impl& m = *impl_;
   m.size = system.size();
   m.vertex_count = system.vertex_count;
@@ -333,7 +370,15 @@ CholeskyFactor::CholeskyFactor(const LinearSystem& system) : impl_(std::make_uni
     m.columns_to_root[s] += m.columns_to_root[static_cast<std::size_t>(up)];
     m.level[s] = m.level[static_cast<std::size_t>(up)] + 1;
   }
-  m.panel.resize(static_cast<std::size_t>(m.panel_rows_max));
+  for (auto& panel : m.panels) panel.resize(static_cast<std::size_t>(m.panel_rows_max));
+  m.share_backward(shared_values);
+  m.inverse_diagonal.resize(static_cast<std::size_t>(m.size));
+  for (std::size_t s = 0; s < supernodes; ++s) {
+    const auto row_count = m.rows_start()[s + 1] - m.rows_start()[s];
+    for (auto j = m.super()[s]; j < m.super()[s + 1]; ++j)
+      m.inverse_diagonal[static_cast<std::size_t>(j)] =
+          1.0 / m.values()[m.values_start()[s] + (j - m.super()[s]) * (row_count + 1)];
+  }
 }
 
 CholeskyFactor::~CholeskyFactor() = default;
@@ -585,42 +630,112 @@ void CholeskyFactor::accumulate(const PathColumns& columns, const Vec3& force_n,
   }
 }
 
+/// Splits the elimination forest below its uppermost supernodes into two shares of about the same
+/// size: subtrees, the largest first to the share that has less.
+void CholeskyFactor::Impl::share_backward(std::int64_t shared_values) {
+  const auto count = factor->nsuper;
+  std::vector<std::int64_t> below(count);  // values of the subtree
+  std::vector<std::vector<std::int32_t>> children(count);
+  std::vector<std::int32_t> subtrees;
+  for (std::size_t s = 0; s < count; ++s) {
+    below[s] += values_start()[s + 1] - values_start()[s];
+    if (parent[s] < 0) {
+      subtrees.push_back(static_cast<std::int32_t>(s));
+      continue;
+    }
+    below[static_cast<std::size_t>(parent[s])] += below[s];
+    children[static_cast<std::size_t>(parent[s])].push_back(static_cast<std::int32_t>(s));
+  }
+  const auto total = static_cast<std::int64_t>(factor->xsize);
+  std::vector<int> share_of(count, 0);  // −1: near a root
+  if (total >= shared_values) {
+    const auto smaller = [&](std::int32_t a, std::int32_t b) {
+      return std::pair(below[static_cast<std::size_t>(a)], a) <
+             std::pair(below[static_cast<std::size_t>(b)], b);
+    };
+    std::make_heap(subtrees.begin(), subtrees.end(), smaller);
+    while (below[static_cast<std::size_t>(subtrees.front())] > total / kSubtreeShare) {
+      std::pop_heap(subtrees.begin(), subtrees.end(), smaller);
+      const auto s = static_cast<std::size_t>(subtrees.back());
+      subtrees.pop_back();
+      share_of[s] = -1;
+      for (const std::int32_t child : children[s]) {
+        subtrees.push_back(child);
+        std::push_heap(subtrees.begin(), subtrees.end(), smaller);
+      }
+    }
+    std::sort_heap(subtrees.begin(), subtrees.end(), smaller);
+    std::array<std::int64_t, 2> values{};
+    for (auto s = subtrees.rbegin(); s != subtrees.rend(); ++s) {
+      const int share = values[1] < values[0] ? 1 : 0;
+      share_of[static_cast<std::size_t>(*s)] = share;
+      values[static_cast<std::size_t>(share)] += below[static_cast<std::size_t>(*s)];
+    }
+    for (std::size_t s = count; s-- > 0;)
+      if (parent[s] >= 0 && share_of[static_cast<std::size_t>(parent[s])] >= 0)
+        share_of[s] = share_of[static_cast<std::size_t>(parent[s])];
+  } else {
+    std::fill(share_of.begin(), share_of.end(), -1);
+  }
+  for (std::size_t s = count; s-- > 0;)
+    (share_of[s] < 0 ? near_roots : shares[static_cast<std::size_t>(share_of[s])])
+        .push_back(static_cast<std::int32_t>(s));
+}
+
+/// Solves for the unknowns of `supernodes`, in their order; `z` is a workspace.
+void CholeskyFactor::Impl::backward(std::span<const std::int32_t> supernodes, double* x,
+                                    double* z) const {
+  const Impl& m = *this;
+  // In z: a supernode's own unknowns, then those below it.
+  for (const std::int32_t supernode : supernodes) {
+    const auto s = static_cast<std::size_t>(supernode);
+    const auto first = m.super()[s];
+    const auto column_count = m.super()[s + 1] - first;
+    const auto row_count = m.rows_start()[s + 1] - m.rows_start()[s];
+    const double* panel = m.values() + m.values_start()[s];
+    const double* inverse = m.inverse_diagonal.data() + first;
+    const std::int64_t* rows = m.rows() + m.rows_start()[s];
+    std::copy_n(x + first, column_count, z);
+    for (std::int64_t r = column_count; r < row_count; ++r) z[r] = x[rows[r]];
+    std::int64_t width = 0;
+    for (auto k = column_count; k > 0; k -= width) {
+      width = k >= 8 ? 8 : k >= 4 ? 4 : 1;
+      const auto from = k - width;
+      const double* block = panel + from * row_count;
+      double d[8];
+      if (width == 8) {
+        dot_eight_columns(block + k, row_count, z + k, row_count - k, d);
+      } else if (width == 4) {
+        dot_four_columns(block + k, row_count, z + k, row_count - k, d);
+      } else {
+        d[0] = dot_one_column(block + k, z + k, row_count - k);
+      }
+      for (std::int64_t c = width; c-- > 0;) {
+        double sum = z[from + c] - d[c];
+        for (std::int64_t b = c + 1; b < width; ++b)
+          sum -= block[c * row_count + from + b] * z[from + b];
+        z[from + c] = sum * inverse[from + c];
+      }
+    }
+    std::copy_n(z, column_count, x + first);
+  }
+}
+
 void CholeskyFactor::backward(std::span<double> y, std::span<const double> offset,
                               std::span<double> u) const {
   const Impl& m = *impl_;
   double* x = y.data();
-  double* below = m.panel.data();
-  for (std::size_t s = m.factor->nsuper; s-- > 0;) {
-    const auto first = m.super()[s];
-    const auto column_count = m.super()[s + 1] - first;
-    const auto row_count = m.rows_start()[s + 1] - m.rows_start()[s];
-    const auto rest = row_count - column_count;
-    const double* panel = m.values() + m.values_start()[s];
-    const std::int64_t* rows = m.rows() + m.rows_start()[s] + column_count;
-    for (std::int64_t r = 0; r < rest; ++r) below[r] = x[rows[r]];
-    double* own = x + first;
-    auto k = column_count;
-    while (k > 0) {
-      const std::int64_t width = std::min<std::int64_t>(4, k);
-      const auto from = k - width;
-      double d[4] = {0, 0, 0, 0}, e[4] = {0, 0, 0, 0};
-      if (width == 4) {
-        dot_four_columns(panel + from * row_count + k, row_count, own + k, column_count - k, d);
-        dot_four_columns(panel + from * row_count + column_count, row_count, below, rest, e);
-      } else {
-        for (std::int64_t c = 0; c < width; ++c) {
-          d[c] = dot_one_column(panel + (from + c) * row_count + k, own + k, column_count - k);
-          e[c] = dot_one_column(panel + (from + c) * row_count + column_count, below, rest);
-        }
-      }
-      for (std::int64_t c = width; c-- > 0;) {
-        double sum = own[from + c] - d[c] - e[c];
-        for (std::int64_t b = c + 1; b < width; ++b)
-          sum -= panel[(from + c) * row_count + from + b] * own[from + b];
-        own[from + c] = sum / panel[(from + c) * row_count + from + c];
-      }
-      k = from;
+  m.backward(m.near_roots, x, m.panels[0].data());
+  if (!m.shares[1].empty()) {
+    const auto other = [&] { m.backward(m.shares[1], x, m.panels[1].data()); };
+    std::optional<std::thread> helper;
+    try {
+      helper.emplace(other);
+    } catch (const std::system_error&) {  // no more threads here
+      other();
     }
+    m.backward(m.shares[0], x, m.panels[0].data());
+    if (helper) helper->join();
   }
   for (std::size_t dof = 0; dof < m.position.size(); ++dof)
     u[dof] = offset[dof] + (m.position[dof] >= 0 ? x[m.position[dof]] : 0.0);

@@ -41,9 +41,12 @@ struct PathColumns {
 /// The supernodal Cholesky factor of a LinearSystem: immutable once made, shared between threads.
 class CholeskyFactor {
  public:
+  /// From so many values of L on (64 MB), two threads take the backward pass.
+  static constexpr std::int64_t kSharedValues = 8'000'000;
+
   /// Orders (METIS on the graph of vertices), analyses and factors with CHOLMOD.
   /// Throws NotPositiveDefinite.
-  explicit CholeskyFactor(const LinearSystem& system);
+  explicit CholeskyFactor(const LinearSystem& system, std::int64_t shared_values = kSharedValues);
   ~CholeskyFactor();
   CholeskyFactor(const CholeskyFactor&) = delete;
   CholeskyFactor& operator=(const CholeskyFactor&) = delete;
@@ -81,7 +84,9 @@ class CholeskyFactor {
 
   /// Solves Lᵀ P u = y for all vertices and adds `offset`: u[3v + axis] for free degrees of
   /// freedom, `offset` alone for prescribed ones. `y` is destroyed.
-  /// Thread: one per factor and `y`; allocates nothing. Cost: reading L once.
+  /// Thread: one per factor. Cost: reading L once. From `shared_values` of L on, a second thread
+  /// that ends with the call takes one half of what lies below the uppermost separators: the values
+  /// are the same to the bit. Only there it allocates (that thread).
   void backward(std::span<double> y, std::span<const double> offset, std::span<double> u) const;
 
   /// Sums the values of L: what the memory alone costs, for benchmarks.

@@ -29,12 +29,28 @@ constexpr double kSlowStep_s = 1.0 / 60.0;
 constexpr int kSlowSubsteps = 3;
 // Things are taken into the problem when the motion of two substeps could bring them together.
 constexpr double kReach_m = 2.0 * kSubstepMotion_m;
+// Surfaces that face each other at rest this near are a wound that will be closed: the compliance
+// of their vertices is made at set-up, not in the step in which they meet.
+constexpr double kPrepareDistance_m = 2e-3;
+constexpr std::size_t kPreparedMax = 1536;
 constexpr int kRevisionsMax = 4;
 constexpr int kIdleStepsMax = 512;
 constexpr double kResidualMax = 1e-8;
 
 std::int64_t since(Clock::time_point start) {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - start).count();
+}
+
+/// Sorts vertices along the longest side of their box.
+void sort_along_longest_side(std::vector<std::int32_t>& vertices, std::span<const Vec3> x_m) {
+  const auto at = [&](std::int32_t v) -> const Vec3& { return x_m[static_cast<std::size_t>(v)]; };
+  Eigen::AlignedBox3d box;
+  for (const std::int32_t v : vertices) box.extend(at(v));
+  Eigen::Index axis = 0;
+  if (!vertices.empty()) box.sizes().maxCoeff(&axis);
+  std::sort(vertices.begin(), vertices.end(), [&](std::int32_t a, std::int32_t b) {
+    return std::pair(at(a)[axis], a) < std::pair(at(b)[axis], b);
+  });
 }
 
 }  // namespace
@@ -58,6 +74,7 @@ struct Simulation::State {
       contact.emplace(tissue.surface(), tissue.model().vertices_m, std::move(tissue_of),
                       std::move(modulus));
     }
+    prepare_compliance();
     inputs.resize(tools.size());
     moving.resize(tools.size());
     responses.resize(tools.size());
@@ -101,6 +118,25 @@ struct Simulation::State {
   std::vector<double> target, lambda;
   std::vector<constraints::RowState> states;
   std::vector<std::pair<std::uint64_t, constraints::RowState>> warm;  ///< by key
+
+  /// Makes the compliance of what will surely be asked for: wounds, and threads in place.
+  void prepare_compliance() {
+    if (!contact) return;
+    std::vector<std::int32_t> vertices =
+        contact->facing_vertices(tissue.positions_m(), *tissue.view().tree, kPrepareDistance_m);
+    vertices.resize(std::min(vertices.size(), kPreparedMax));
+    // Along the longest side of their box: what meets then has numbers close together, and its rows
+    // of W are short.
+    sort_along_longest_side(vertices, tissue.positions_m());
+    rows.clear();
+    for (ThreadBody& thread : threads) thread.add_rows(needles, tools, rows);
+    for (int i = 0; i < rows.size(); ++i)
+      for (const auto& entry : rows.entries(rows[i]))
+        if (std::find(vertices.begin(), vertices.end(), entry.vertex) == vertices.end())
+          vertices.push_back(entry.vertex);
+    rows.clear();
+    tissue.compliance().prepare(vertices);
+  }
 
   /// Brings tissue, paths and grips up to the last solve.
   void settle(std::vector<Event>& out) {

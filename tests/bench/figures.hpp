@@ -2,6 +2,7 @@
 // Named figures: what `make bench` prints and writes to results.json.
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -44,6 +45,15 @@ class Figures {
 /// do with a shared machine meanwhile does not count.
 template <typename Work>
 [[nodiscard]] double time_us(Work&& work);
+
+/// Returns the time that `work()` takes by the clock, in microseconds: for work of two threads.
+template <typename Work>
+[[nodiscard]] double wall_time_us(Work&& work) {
+  const auto begun = std::chrono::steady_clock::now();
+  work();
+  return std::chrono::duration<double, std::micro>(std::chrono::steady_clock::now() - begun)
+      .count();
+}
 
 // Each measures its part of the budgets and adds its figures.
 void measure_step(Figures& figures);

@@ -69,8 +69,8 @@ void measure_mesh(Figures& figures, const std::string& name, const fem::Model& m
   double sum = 0.0;
   for (int trial = 0; trial < trials + 1; ++trial) {
     y = start;
-    const double read = time_us([&] { sum += factor.read_once(); });
-    const double backward = time_us([&] { factor.backward(y, offset, u); });
+    const double read = wall_time_us([&] { sum += factor.read_once(); });
+    const double backward = wall_time_us([&] { factor.backward(y, offset, u); });
     if (trial == 0) continue;
     read_us.push_back(read);
     backward_us.push_back(backward);

@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <numeric>
 #include <random>
 
 #include "support/block_mesh.hpp"
@@ -118,6 +120,39 @@ TEST_F(ComplianceOfABlock, WalksAVertexOnceAndForgetsItWhenIdle) {
   const ComplianceMatrix& w = compliance.assemble(rows, {});
   EXPECT_EQ(compliance.walks(), 3U);
   EXPECT_NEAR(w(0, 0), inverse_(180, 180), 1e-12);
+}
+
+TEST_F(ComplianceOfABlock, WhatIsPreparedIsNeverWalkedAgain) {
+  std::vector<std::int32_t> vertices(125);
+  std::iota(vertices.begin(), vertices.end(), 0);
+  std::shuffle(vertices.begin(), vertices.end(), random_);
+  vertices.resize(90);
+  Compliance plain(factor_), compliance(factor_);
+  compliance.prepare(vertices);
+  EXPECT_EQ(compliance.walks(), 90U);
+  EXPECT_EQ(compliance.cached_vertices(), 90);
+  const std::vector<NeedleMobility> needle(1);
+  for (int trial = 0; trial < 6; ++trial) {
+    const ConstraintRows rows = random_rows(12 + 10 * trial);  // of other vertices, too
+    const ComplianceMatrix& expected = plain.assemble(rows, needle);
+    const ComplianceMatrix& got = compliance.assemble(rows, needle);
+    const double scale = *std::max_element(expected.value.begin(), expected.value.end());
+    for (std::size_t i = 0; i < got.value.size(); ++i)
+      ASSERT_NEAR(got.value[i], expected.value[i], 1e-11 * scale) << "trial " << trial;
+    if (trial % 2 == 1) compliance.evict(0);
+  }
+  compliance.clear();
+  EXPECT_EQ(compliance.cached_vertices(), 90);
+  const std::uint64_t before = compliance.walks();
+  ConstraintRows rows;
+  for (const std::int32_t v : vertices) {
+    rows.add(Bounds::bilateral(), 0.0, 0.0);
+    rows.touch(v, Vec3::UnitZ());
+  }
+  compliance.assemble(rows, {});
+  compliance.evict(0);
+  compliance.assemble(rows, {});
+  EXPECT_EQ(compliance.walks(), before);
 }
 
 TEST_F(ComplianceOfABlock, SumsDoNotDependOnWhatWasInUseBefore) {

@@ -129,6 +129,27 @@ TEST(CholeskyFactor, BackwardPassOfAccumulatedForcesSolvesTheTissue) {
   EXPECT_LT((got - expected).cwiseAbs().maxCoeff(), 1e-12 * expected.cwiseAbs().maxCoeff() + 1e-13);
 }
 
+TEST(CholeskyFactor, BackwardPassOfTwoThreadsIsThatOfOneToTheBit) {
+  auto mesh = testing::block_mesh(7, 6, 9);  // one block: what is shared lies below separators
+  Model model = testing::model_of(mesh, {1000.0, 0.3});
+  testing::prescribe(
+      model, [](const Vec3& x) { return x[2] < 1e-9; }, [](const Vec3&) { return Vec3(0, 0, 0); });
+  for (const Model& tissue : {model, two_blocks()}) {
+    const LinearSystem system = assemble(tissue);
+    const CholeskyFactor alone(system), shared(system, 1);
+    std::mt19937_64 random(5);
+    std::uniform_real_distribution<double> value(-1.0, 1.0);
+    std::vector<double> y(static_cast<std::size_t>(alone.size()));
+    for (double& v : y) v = value(random);
+    std::vector<double> z = y, u(system.free_index.size()), w(u.size());
+    const std::vector<double> offset(u.size(), 0.25);
+    alone.backward(y, offset, u);
+    shared.backward(z, offset, w);
+    EXPECT_EQ(u, w);
+    EXPECT_NE(u, offset);
+  }
+}
+
 TEST(CholeskyFactor, FullSolveBalancesLoadsAndPrescribedDisplacements) {
   const Model model = two_blocks();
   const auto u = testing::solve(model);
