@@ -19,6 +19,19 @@ SUTURED_KERNEL void add_three_rows(const double* g, std::int64_t stride, const d
   for (std::int64_t i = 0; i < count; ++i) t[i] += c[0] * g0[i] + c[1] * g1[i] + c[2] * g2[i];
 }
 
+/// t = Σ c_k g_k over the twelve rows of four vertices, as pairs in contact have them: t is written
+/// once, not read.
+SUTURED_KERNEL void set_twelve_rows(const double* const* g, std::int64_t stride, const double* c,
+                                    std::int64_t count, double* t) {
+  const double *a = g[0], *b = g[1], *d = g[2], *e = g[3];
+#pragma omp simd
+  for (std::int64_t i = 0; i < count; ++i)
+    t[i] = (c[0] * a[i] + c[1] * a[i + stride] + c[2] * a[i + 2 * stride]) +
+           (c[3] * b[i] + c[4] * b[i + stride] + c[5] * b[i + 2 * stride]) +
+           (c[6] * d[i] + c[7] * d[i + stride] + c[8] * d[i + 2 * stride]) +
+           (c[9] * e[i] + c[10] * e[i + stride] + c[11] * e[i + 2 * stride]);
+}
+
 /// out[j] = Σ over the entries of row j of c · t[slot], for the first `rows` rows; four lanes at a
 /// time: each coefficient carries a zero behind it. Entries of row j: first[j] … first[j + 1].
 SUTURED_KERNEL void sparse_products(const double* coefficient, const int* offset,
@@ -178,29 +191,29 @@ void Compliance::make_pairs(std::span<const int> a, std::span<const int> b) {
 /// Sees that G holds every pair of active vertices.
 void Compliance::ensure_pairs() {
   if (active_ == paired_) return;
-  // Those that were not there the last time and lack a pair: the prepared only with others.
-  const auto others = std::lower_bound(active_.begin(), active_.end(), prepared_);
-  const std::span<const int> all(active_), unprepared(others, active_.end());
-  const auto n = static_cast<std::size_t>(capacity_);
+  const auto lacks_one_of = [&](int slot, std::span<const int> others) {
+    const auto* known =
+        known_.data() + static_cast<std::size_t>(slot) * static_cast<std::size_t>(capacity_);
+    return !std::binary_search(paired_.begin(), paired_.end(), slot) &&
+           std::any_of(others.begin(), others.end(), [&](int other) { return !known[other]; });
+  };
+  // The prepared know each other: they may lack only unprepared ones that do not join with all.
   joining_.clear();
   joining_prepared_.clear();
-  for (const int slot : active_) {
-    if (std::binary_search(paired_.begin(), paired_.end(), slot)) continue;
-    const std::uint8_t* known = known_.data() + static_cast<std::size_t>(slot) * n;
-    const bool prepared = slot < prepared_;
-    const auto partners = prepared ? unprepared : all;
-    if (std::all_of(partners.begin(), partners.end(), [&](int other) { return known[other]; }))
-      continue;
-    (prepared ? joining_prepared_ : joining_).push_back(slot);
-  }
+  unprepared_.clear();
+  const auto prepared_end = std::lower_bound(active_.begin(), active_.end(), prepared_);
+  for (auto slot = prepared_end; slot != active_.end(); ++slot)
+    (lacks_one_of(*slot, active_) ? joining_ : unprepared_).push_back(*slot);
+  for (auto slot = active_.begin(); slot != prepared_end; ++slot)
+    if (lacks_one_of(*slot, unprepared_)) joining_prepared_.push_back(*slot);
   if (joining_.size() + joining_prepared_.size() >= kBatchMin) {
-    make_pairs(joining_, all);
-    make_pairs(joining_prepared_, unprepared);
+    make_pairs(joining_, active_);
+    make_pairs(joining_prepared_, unprepared_);
   } else {
     for (const int slot : joining_)
-      for (const int other : all) ensure_pair(slot, other);
+      for (const int other : active_) ensure_pair(slot, other);
     for (const int slot : joining_prepared_)
-      for (const int other : unprepared) ensure_pair(slot, other);
+      for (const int other : unprepared_) ensure_pair(slot, other);
   }
   paired_ = active_;
 }
@@ -212,6 +225,8 @@ void Compliance::clear() {
   active_.clear();
   loaded_.clear();
   high_water_ = prepared_;
+  paired_.resize(static_cast<std::size_t>(prepared_));
+  std::iota(paired_.begin(), paired_.end(), 0);
   step_ = 0;
 }
 
@@ -279,17 +294,34 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
   row_times_g_.resize(static_cast<std::size_t>(m) * static_cast<std::size_t>(pitch));
   for (std::int64_t first = 0; first < width; first += kBlockColumns) {
     const auto used = std::lower_bound(active_.begin(), active_.end(), first / 3);
-    if (used == active_.end() || 3 * *used >= first + kBlockColumns) continue;  // nobody's columns
+    if (used == active_.end() || 3 * *used >= first + kBlockColumns) {  // nobody's columns
+      for (const int i : order_)  // but the lane behind the block before
+        if (row_width_[static_cast<std::size_t>(i)] >= first)
+          row_times_g_[static_cast<std::size_t>(i * pitch + first)] = 0.0;
+      continue;
+    }
     for (const int i : order_) {
       const auto count = std::min(kBlockColumns, row_width_[static_cast<std::size_t>(i)] - first);
       if (count <= 0) continue;
       const auto entries = rows.entries(rows[i]);
       double* t = row_times_g_.data() + i * pitch + first;
-      std::fill_n(t, count + 1, 0.0);
-      for (std::size_t e = 0; e < entries.size(); ++e) {
-        const auto slot = entry_slot_[static_cast<std::size_t>(rows[i].first_entry) + e];
-        add_three_rows(g_row(3 * slot) + first, stride, entries[e].coefficient.data(), count, t);
+      const int* slot = entry_slot_.data() + rows[i].first_entry;
+      if (entries.size() == 4) {
+        std::array<const double*, 4> g;
+        std::array<double, 12> c;
+        for (std::size_t e = 0; e < 4; ++e) {
+          g[e] = g_row(3 * slot[e]) + first;
+          std::copy_n(entries[e].coefficient.data(), 3,
+                      c.begin() + static_cast<std::ptrdiff_t>(3 * e));
+        }
+        set_twelve_rows(g.data(), stride, c.data(), count, t);
+      } else {
+        std::fill_n(t, count, 0.0);
+        for (std::size_t e = 0; e < entries.size(); ++e)
+          add_three_rows(g_row(3 * slot[e]) + first, stride, entries[e].coefficient.data(), count,
+                         t);
       }
+      t[count] = 0.0;
     }
   }
   // W = T Cᵀ and what belongs to needles; C in that order, so that it is read from end to end.

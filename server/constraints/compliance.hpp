@@ -102,7 +102,7 @@ class Compliance {
   std::vector<int> new_slots_;
   std::vector<fem::PathColumns*> new_columns_;
   std::vector<const fem::PathColumns*> columns_a_, columns_b_;
-  std::vector<int> joining_, joining_prepared_;
+  std::vector<int> joining_, joining_prepared_, unprepared_;
   std::vector<double> new_blocks_;
   std::vector<int> paired_;                ///< slots whose pairs are all present
   std::vector<int> active_;                ///< slots of the present rows

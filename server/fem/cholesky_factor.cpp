@@ -235,8 +235,8 @@ std::vector<std::int64_t> nodal_order(const LinearSystem& system, cholmod_common
   return result;
 }
 
-// No subtree of a share is larger than this part of L, so that the shares come out even.
-constexpr std::int64_t kSubtreeShare = 16;
+// The two shares differ by less than this part of L.
+constexpr std::int64_t kUneven = 16;
 
 }  // namespace
 
@@ -630,8 +630,8 @@ void CholeskyFactor::accumulate(const PathColumns& columns, const Vec3& force_n,
   }
 }
 
-/// Splits the elimination forest below its uppermost supernodes into two shares of about the same
-/// size: subtrees, the largest first to the share that has less.
+/// Splits the elimination forest into two shares of about the same size: subtrees, the largest
+/// first to the share that has less. Where that does not come out even, the largest is taken apart.
 void CholeskyFactor::Impl::share_backward(std::int64_t shared_values) {
   const auto count = factor->nsuper;
   std::vector<std::int64_t> below(count);  // values of the subtree
@@ -653,23 +653,19 @@ void CholeskyFactor::Impl::share_backward(std::int64_t shared_values) {
       return std::pair(below[static_cast<std::size_t>(a)], a) <
              std::pair(below[static_cast<std::size_t>(b)], b);
     };
-    std::make_heap(subtrees.begin(), subtrees.end(), smaller);
-    while (below[static_cast<std::size_t>(subtrees.front())] > total / kSubtreeShare) {
-      std::pop_heap(subtrees.begin(), subtrees.end(), smaller);
-      const auto s = static_cast<std::size_t>(subtrees.back());
-      subtrees.pop_back();
-      share_of[s] = -1;
-      for (const std::int32_t child : children[s]) {
-        subtrees.push_back(child);
-        std::push_heap(subtrees.begin(), subtrees.end(), smaller);
+    while (true) {
+      std::sort(subtrees.begin(), subtrees.end(), smaller);
+      std::array<std::int64_t, 2> values{};
+      for (auto s = subtrees.rbegin(); s != subtrees.rend(); ++s) {
+        const int share = values[1] < values[0] ? 1 : 0;
+        share_of[static_cast<std::size_t>(*s)] = share;
+        values[static_cast<std::size_t>(share)] += below[static_cast<std::size_t>(*s)];
       }
-    }
-    std::sort_heap(subtrees.begin(), subtrees.end(), smaller);
-    std::array<std::int64_t, 2> values{};
-    for (auto s = subtrees.rbegin(); s != subtrees.rend(); ++s) {
-      const int share = values[1] < values[0] ? 1 : 0;
-      share_of[static_cast<std::size_t>(*s)] = share;
-      values[static_cast<std::size_t>(share)] += below[static_cast<std::size_t>(*s)];
+      if (subtrees.empty() || std::abs(values[0] - values[1]) <= total / kUneven) break;
+      const auto largest = static_cast<std::size_t>(subtrees.back());
+      subtrees.pop_back();
+      share_of[largest] = -1;
+      subtrees.insert(subtrees.end(), children[largest].begin(), children[largest].end());
     }
     for (std::size_t s = count; s-- > 0;)
       if (parent[s] >= 0 && share_of[static_cast<std::size_t>(parent[s])] >= 0)
