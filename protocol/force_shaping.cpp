@@ -43,6 +43,16 @@ ForceLimits stoppable_within(const ForceLimits& limits, std::int64_t ramp_ns) no
   return result;
 }
 
+ForceLimits smaller_of(const ForceLimits& limits, const ForceLimits& other) noexcept {
+  const auto smaller = [](double ours, double theirs) noexcept {
+    return theirs > 0.0 ? std::min(ours, theirs) : ours;  // NaN is no limit
+  };
+  return {smaller(limits.max_force_n, other.max_force_n),
+          smaller(limits.max_torque_nm, other.max_torque_nm),
+          smaller(limits.max_force_slew_n_per_s, other.max_force_slew_n_per_s),
+          smaller(limits.max_torque_slew_nm_per_s, other.max_torque_slew_nm_per_s)};
+}
+
 Wrench limit_magnitude(const Wrench& wrench, const ForceLimits& limits, bool& limited) noexcept {
   return {shortened(wrench.force_n, limits.max_force_n, limited),
           shortened(wrench.torque_nm, limits.max_torque_nm, limited)};

@@ -52,6 +52,10 @@ class SwapBlend {
   void swap(const Wrench& shown, const Wrench& next, std::int64_t now_ns,
             std::int64_t duration_ns) noexcept;
   [[nodiscard]] Wrench apply(const Wrench& wrench, std::int64_t now_ns) const noexcept;
+  /// Says whether nothing of the difference is left.
+  [[nodiscard]] bool over(std::int64_t now_ns) const noexcept {
+    return now_ns - start_ns_ >= duration_ns_;
+  }
   void clear() noexcept { *this = {}; }
 
  private:
@@ -63,6 +67,18 @@ class SwapBlend {
 /// `hold_ns` old, 0 from `zero_ns` on, linear between.
 [[nodiscard]] double freshness(std::int64_t age_ns, std::int64_t hold_ns,
                                std::int64_t zero_ns) noexcept;
+
+/// Returns at which age a model that goes stale at `stale_after_ns` gives no force any more:
+/// 45 ms, so that a tick that comes late does not break the promised 50, and 9 ms of ramp at
+/// least.
+[[nodiscard]] constexpr std::int64_t model_zero_after_ns(std::int64_t stale_after_ns) noexcept {
+  constexpr std::int64_t kZeroAfter_ns = 45'000'000, kRampMin_ns = 9'000'000;
+  return stale_after_ns + kRampMin_ns > kZeroAfter_ns ? stale_after_ns + kRampMin_ns
+                                                      : kZeroAfter_ns;
+}
+
+/// Returns the smaller of two limits, where `other` has one: not positive means none.
+[[nodiscard]] ForceLimits smaller_of(const ForceLimits& limits, const ForceLimits& other) noexcept;
 
 /// A gain that falls with its ceiling and rises by a ramp of its own.
 ///
