@@ -17,11 +17,17 @@ ForceService::ForceService(const suture::Participant& participant,
     lines_.push_back(std::move(line));
   }
   forces_ = suture::Writer<suture::v1::ToolForce>(participant);
+  suture::EndpointCallbacks on_command;
+  on_command.data_available = [this] { on_commands(); };
+  commands_ = suture::Reader<suture::v1::Command>(participant, std::move(on_command));
+  suture::EndpointCallbacks on_shown;
+  on_shown.data_available = [this] { on_rendered(); };
+  rendered_ = suture::Reader<suture::v1::ToolRendered>(participant, std::move(on_shown));
   suture::EndpointCallbacks callbacks;
   callbacks.data_available = [this] { on_poses(); };
   callbacks.matched = [this](int) { peers_changed_.store(true, std::memory_order_relaxed); };
   poses_ = suture::Reader<suture::v1::ToolPose>(participant, std::move(callbacks));
-  // The listener may have been called while the reader was still being made.
+  // The listeners may have been called while the readers were still being made.
   ready_.store(true, std::memory_order_release);
 }
 
@@ -34,14 +40,12 @@ void ForceService::on_poses() noexcept {
     // and a device that was only held up shall not drop its needle.
     if (!info.valid) continue;
     const std::int64_t taken_ns = suture::monotonic_ns();
-    const auto found = std::find_if(lines_.begin(), lines_.end(), [&](const auto& line) {
-      return line->tool_id == pose.tool_id;
-    });
-    if (found == lines_.end()) {
+    Line* const found = line_of(pose.tool_id);
+    if (found == nullptr) {
       strangers_.fetch_add(1, std::memory_order_relaxed);
       continue;
     }
-    Line& line = **found;
+    Line& line = *found;
     remember(info.writer);
     if (const auto force = line.channel->on_pose(pose_sample(pose, info.writer), taken_ns)) {
       const std::int64_t computed_ns = suture::monotonic_ns();
@@ -51,6 +55,59 @@ void ForceService::on_poses() noexcept {
       line.tick_times.record(sent_ns - taken_ns);
     }
   }
+}
+
+ForceService::Line* ForceService::line_of(std::uint64_t tool_id) noexcept {
+  const auto found = std::find_if(lines_.begin(), lines_.end(),
+                                  [&](const auto& line) { return line->tool_id == tool_id; });
+  return found == lines_.end() ? nullptr : found->get();
+}
+
+void ForceService::on_rendered() noexcept {
+  if (!ready_.load(std::memory_order_acquire)) return;
+  suture::v1::ToolRendered wire;
+  suture::SampleInfo info;
+  while (rendered_.take(wire, info)) {
+    Line* const line = info.valid ? line_of(wire.tool_id) : nullptr;
+    if (line == nullptr) continue;
+    const std::uint64_t lease = line->channel->lease();
+    if (lease == 0) continue;
+    if (info.writer != line->rendered_writer || lease != line->rendered_lease) {
+      // Two writers of one device share its participant: the first 12 bytes of a GUID. This
+      // allocates, once an engagement.
+      const auto writer = rendered_.writer_guid(info.writer);
+      const suture::Guid holder = guid_of_writer(lease);
+      line->rendered_writer = info.writer;
+      line->rendered_lease = lease;
+      line->rendered_is_ours =
+          writer && std::equal(writer->begin(), writer->begin() + 12, holder.begin());
+    }
+    if (line->rendered_is_ours)
+      line->channel->on_rendered(rendered_sample(wire), suture::monotonic_ns());
+  }
+}
+
+void ForceService::on_commands() noexcept {
+  if (!ready_.load(std::memory_order_acquire)) return;
+  suture::v1::Command command;
+  suture::SampleInfo info;
+  while (commands_.take(command, info)) {
+    if (!info.valid) continue;
+    if (command.kind == suture_v1_COMMAND_STOP) set_stopped(true);
+    if (command.kind == suture_v1_COMMAND_RESUME) set_stopped(false);
+    commands_heard_.push(command);
+  }
+}
+
+void ForceService::set_stopped(bool stopped) noexcept {
+  for (const auto& line : lines_) line->channel->set_stopped(stopped);
+  // Looked at after the resume was carried out, so that the last word is always a stop's.
+  if (!stopped && stopped_for_good_.load(std::memory_order_seq_cst)) set_stopped(true);
+}
+
+void ForceService::stop_for_good() noexcept {
+  stopped_for_good_.store(true, std::memory_order_seq_cst);
+  set_stopped(true);
 }
 
 void ForceService::tick(std::int64_t now_ns) noexcept {

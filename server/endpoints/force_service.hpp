@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "haptics/bounded_queue.hpp"
 #include "haptics/period_latency.hpp"
 #include "haptics/tool_channel.hpp"
 #include "protocol/endpoint.hpp"
@@ -22,7 +23,12 @@ struct ServedTool {
   haptics::ToolChannel* channel = nullptr;
 };
 
-/// Answers the poses of all tools over DDS.
+/// Answers the poses of all tools over DDS, takes what devices render themselves, and obeys
+/// a stop.
+///
+/// A stop and a resume act as they arrive, in their order, on the receive thread, and wait for
+/// nobody; only then do they go to whoever answers commands (`next_command`). So no slow
+/// viewer, full queue or busy publisher stands between a stop and the force.
 ///
 /// The pose listener runs on Cyclone's receive thread; it, and `tick` on the supervisor,
 /// are the only writers of forces. Both allocate nothing and log nothing; the one
@@ -36,6 +42,12 @@ class ForceService {
 
   /// The supervisor's tick.
   void tick(std::int64_t now_ns) noexcept;
+
+  /// Moves the oldest command not yet answered into `command`; false where there is none. One
+  /// caller.
+  bool next_command(suture::v1::Command& command) noexcept { return commands_heard_.pop(command); }
+  /// Stops all tools; no resume is obeyed any more. Any thread.
+  void stop_for_good() noexcept;
 
   /// Ends the leases of writers that have left. Any one thread, now and then.
   void end_leases_of_the_departed() noexcept;
@@ -59,6 +71,10 @@ class ForceService {
   struct Line {
     std::uint64_t tool_id = 0;
     haptics::ToolChannel* channel = nullptr;
+    // Receive thread: of the last ToolRendered, whose writer it was and for which lease it
+    // was looked at, and whether both are of one participant.
+    std::uint64_t rendered_writer = 0, rendered_lease = 0;
+    bool rendered_is_ours = false;
     haptics::PeriodLatency tick_times;
   };
   /// A writer seen. Written by the receive thread only, oldest replaced.
@@ -68,6 +84,10 @@ class ForceService {
   };
 
   void on_poses() noexcept;
+  void on_rendered() noexcept;
+  void on_commands() noexcept;
+  Line* line_of(std::uint64_t tool_id) noexcept;
+  void set_stopped(bool stopped) noexcept;
   void remember(std::uint64_t writer) noexcept;
   void send(const Line& line, const haptics::ForceSample& force) noexcept;
 
@@ -78,7 +98,12 @@ class ForceService {
   std::atomic<std::uint64_t> strangers_{0};
   std::atomic<bool> ready_{false}, peers_changed_{false};
   suture::Writer<suture::v1::ToolForce> forces_;
-  suture::Reader<suture::v1::ToolPose> poses_;  // last: its listener uses all of the above
+  haptics::BoundedQueue<suture::v1::Command, 64> commands_heard_;
+  std::atomic<bool> stopped_for_good_{false};
+  // Last: their listeners use all of the above.
+  suture::Reader<suture::v1::Command> commands_;
+  suture::Reader<suture::v1::ToolRendered> rendered_;
+  suture::Reader<suture::v1::ToolPose> poses_;
 };
 
 }  // namespace sutured::endpoints

@@ -21,6 +21,7 @@ constexpr std::int64_t kQualityPeriod_ns = 500'000'000;
 // A fault that lasts, or comes a thousand times a second, is told once a second.
 constexpr std::int64_t kFaultPeriod_ns = 1'000'000'000;
 constexpr int kCoursePoints = 33;
+constexpr std::size_t kProfilesMax = 64;
 
 constexpr std::array<std::string_view, haptics::kFaultCount> kFaultTexts{
     "no pose in time: the force fades",
@@ -35,7 +36,7 @@ constexpr std::array<std::string_view, haptics::kFaultCount> kFaultTexts{
     "a tick ran out of pivots: multipliers clamped",
     "the force is at its limit",
     "the force changes as fast as it may",
-    "passivity bound passed",
+    "more energy than hand and tissue put in: the force fades",
     "stopped: zero force until a resume",
     "another device wants this tool",
 };
@@ -53,7 +54,7 @@ ScenePublisher::ScenePublisher(const suture::Participant& control, const suture:
       started_ns_(suture::wall_clock_ns()),
       status_(control),
       events_(control),
-      commands_(control),
+      profiles_(control),
       replies_(control),
       topologies_(mesh),
       frames_(mesh),
@@ -62,6 +63,8 @@ ScenePublisher::ScenePublisher(const suture::Participant& control, const suture:
       threads_(mesh),
       contacts_(mesh),
       quality_(mesh),
+      profiles_told_(served_.tools.size()),
+      heeded_(served_.tools.size()),
       told_(served_.tools.size()),
       tool_status_(served_.tools.size()),
       told_quality_(served_.scene.threads.size()) {
@@ -100,6 +103,7 @@ void ScenePublisher::run() noexcept {
     const std::int64_t now_ns = suture::monotonic_ns();
     served_.forces.end_leases_of_the_departed();
     obey();
+    heed_devices();
     finish_resets();
     publish_events(now_ns);
     if (served_.loop.epoch() != topology_epoch_) publish_topology();
@@ -361,9 +365,7 @@ void ScenePublisher::tell_channel(std::size_t tool, std::int64_t now_ns) {
 
 void ScenePublisher::obey() {
   suture::v1::Command command;
-  suture::SampleInfo info;
-  while (commands_.take(command, info)) {
-    if (!info.valid) continue;
+  while (served_.forces.next_command(command)) {
     suture::v1::CommandReply reply = execute(command);
     std::copy(std::begin(command.requester), std::end(command.requester), reply.requester);
     reply.request = command.request;
@@ -388,17 +390,13 @@ suture::v1::CommandReply ScenePublisher::execute(const suture::v1::Command& comm
     return reply;
   };
   const std::string who(suture::text_of(command.requester_name));
-  const auto set_stopped = [&](bool stopped) {
-    stopped_ = stopped;
-    for (const ServedTool& tool : served_.tools) tool.channel->set_stopped(stopped);
-  };
   switch (command.kind) {
     case suture_v1_COMMAND_PAUSE:
       served_.loop.pause(true);
       notice(suture_v1_EVENT_PAUSED, who);
       return reply;
     case suture_v1_COMMAND_RESUME:
-      set_stopped(false);
+      stopped_ = false;  // ForceService has let the forces go on
       served_.loop.pause(false);
       notice(suture_v1_EVENT_RESUMED, who);
       return reply;
@@ -408,7 +406,7 @@ suture::v1::CommandReply ScenePublisher::execute(const suture::v1::Command& comm
                       "the simulation has ended: " + served_.loop.failure());
       return reply;
     case suture_v1_COMMAND_STOP:
-      set_stopped(true);
+      stopped_ = true;  // and it has stopped them, as the command came
       return reply;
     case suture_v1_COMMAND_RELEASE_TOOL: {
       const std::string_view name = suture::text_of(command.tool);
@@ -436,6 +434,36 @@ void ScenePublisher::finish_resets() {
     replies_.write(pending.reply);
     return true;
   });
+}
+
+// ------------------------------------------------------------------ devices
+
+// What a device tells of itself holds while its poses move the tool.
+void ScenePublisher::heed_devices() {
+  bool news = false;
+  profiles_.take_each([&](const suture::v1::DeviceProfile& profile,
+                          const suture::SampleInfo& info) {
+    if (!info.valid) return;
+    const std::string_view name = suture::text_of(profile.tool);
+    for (std::size_t i = 0; i < served_.tools.size(); ++i) {
+      if (served_.tools[i].name != name) continue;
+      profiles_told_[i].insert_or_assign(suture::guid_of(profile.device), device_limits(profile));
+      news = true;
+    }
+  });
+  for (std::size_t i = 0; i < served_.tools.size(); ++i) {
+    const std::uint64_t holder = served_.tools[i].channel->lease();
+    if (holder == heeded_[i] && !news) continue;
+    const suture::Guid guid = served_.forces.guid_of_writer(holder);
+    if (holder != 0 && guid == suture::kNobody) continue;  // its first pose is still being served
+    heeded_[i] = holder;
+    auto& told = profiles_told_[i];
+    const auto found = told.find(guid);
+    served_.tools[i].channel->set_device_limits(found == told.end() ? haptics::DeviceLimits{}
+                                                                    : found->second);
+    // Those that left are not missed; a device that comes again tells again.
+    if (told.size() > kProfilesMax) told.clear();
+  }
 }
 
 // ------------------------------------------------------------------ status
@@ -502,8 +530,10 @@ void ScenePublisher::publish_status(suture_v1_ServerState state, const std::stri
     tool.leased = holder != 0;
     status.devices += tool.leased ? 1 : 0;
     suture::set_guid(tool.device, served_.forces.guid_of_writer(holder));
+    tool.renders_itself = report.renders_itself;
     tool.state = wire_state(report.state);
     tool.faults = report.faults;
+    tool.energy_to_hand_j = report.energy_to_hand_j;
     for (int f = 0; f < haptics::kFaultCount; ++f)
       tool.fault_count += static_cast<std::uint32_t>(counters.of(static_cast<haptics::Fault>(f)));
     tool.poses = counters.poses.load(std::memory_order_relaxed);

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <string>
 #include <thread>
 #include <vector>
@@ -81,6 +82,7 @@ class ScenePublisher {
   void tell_channel(std::size_t tool, std::int64_t now_ns);
   void obey();
   suture::v1::CommandReply execute(const suture::v1::Command& command);
+  void heed_devices();
   void finish_resets();
   void notice(suture_v1_EventKind kind, const std::string& text);
   suture_v1_ServerState state() const;
@@ -91,7 +93,7 @@ class ScenePublisher {
 
   suture::Writer<suture::v1::ServerStatus> status_;
   suture::Writer<suture::v1::Event> events_;
-  suture::Reader<suture::v1::Command> commands_;
+  suture::Reader<suture::v1::DeviceProfile> profiles_;
   suture::Writer<suture::v1::CommandReply> replies_;
   suture::Writer<suture::v1::MeshTopology> topologies_;
   suture::Writer<suture::v1::MeshFrame> frames_;
@@ -101,6 +103,8 @@ class ScenePublisher {
   suture::Writer<suture::v1::ContactState> contacts_;
   suture::Writer<suture::v1::Quality> quality_;
 
+  std::vector<std::map<suture::Guid, haptics::DeviceLimits>> profiles_told_;  // per tool
+  std::vector<std::uint64_t> heeded_;  // per tool: the lease whose device's limits hold
   std::vector<Told> told_;
   std::vector<suture::v1::ToolStatus> tool_status_;
   std::vector<double> course_m_;

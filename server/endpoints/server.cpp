@@ -114,7 +114,7 @@ Server::~Server() { stop("the server ends"); }
 void Server::stop(const std::string& reason) noexcept {
   State& s = *state_;
   if (!s.publisher) return;
-  for (const auto& channel : s.channels) channel->set_stopped(true);
+  s.forces->stop_for_good();
   // The force threads bring the forces to zero; the promise is 50 ms.
   const std::int64_t end_ns = suture::monotonic_ns() + kFadePatience_ns;
   const auto silent = [&s] {
@@ -147,7 +147,7 @@ std::string Server::notes() const {
   std::string text;
   for (std::size_t i = 0; i < state_->channels.size(); ++i) {
     const scene::Tool& tool = state_->scene.tools[i];
-    const suture::ForceLimits& limits = state_->channels[i]->limits();
+    const suture::ForceLimits limits = state_->channels[i]->limits();
     if (limits.max_force_n >= tool.max_force_n && limits.max_torque_nm >= tool.max_torque_nm)
       continue;
     std::ostringstream line;

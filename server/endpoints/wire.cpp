@@ -2,6 +2,7 @@
 #include "endpoints/wire.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <span>
 
 namespace sutured::endpoints {
@@ -122,7 +123,29 @@ haptics::PoseSample pose_sample(const suture::v1::ToolPose& wire, std::uint64_t 
                                                              : haptics::Frame::kDevice;
   sample.goodbye = (wire.flags & suture_v1_POSE_GOODBYE) != 0;
   sample.stop = (wire.flags & suture_v1_POSE_STOP) != 0;
+  sample.renders_itself = (wire.flags & suture_v1_POSE_RENDER_DEVICE) != 0;
   return sample;
+}
+
+haptics::RenderedSample rendered_sample(const suture::v1::ToolRendered& wire) noexcept {
+  haptics::RenderedSample sample;
+  sample.model_sequence = wire.model_sequence;
+  sample.faults = wire.faults;
+  const auto copy_finite = [](const double(&from)[3], std::array<double, 3>& to) {
+    for (int i = 0; i < 3; ++i) to[i] = std::isfinite(from[i]) ? from[i] : 0.0;
+  };
+  copy_finite(wire.force_n, sample.wrench.force_n);
+  copy_finite(wire.torque_nm, sample.wrench.torque_nm);
+  return sample;
+}
+
+haptics::DeviceLimits device_limits(const suture::v1::DeviceProfile& wire) noexcept {
+  haptics::DeviceLimits limits;
+  limits.force.max_force_n = wire.max_force_n;
+  limits.force.max_torque_nm = wire.max_torque_nm;
+  limits.force.max_force_slew_n_per_s = wire.max_force_slew_n_per_s;
+  limits.max_stiffness_n_per_m = wire.max_stiffness_n_per_m;
+  return limits;
 }
 
 void set_force(suture::v1::ToolForce& wire, const haptics::ForceSample& force) noexcept {
@@ -138,6 +161,7 @@ void set_force(suture::v1::ToolForce& wire, const haptics::ForceSample& force) n
   if (force.frame == haptics::Frame::kWorld) wire.flags |= suture_v1_FORCE_IN_WORLD;
   if (force.touching) wire.flags |= suture_v1_FORCE_TOUCHING;
   if (force.engaged) wire.flags |= suture_v1_FORCE_ENGAGED;
+  if (force.renders_itself) wire.flags |= suture_v1_FORCE_RENDER_DEVICE;
   if (force.from_supervisor) wire.flags |= suture_v1_FORCE_FROM_SUPERVISOR;
   constexpr std::uint32_t kNone = UINT32_MAX;
   wire.model_age_us = force.model_age_ns < 0 ? kNone

@@ -20,6 +20,13 @@ namespace sutured::endpoints {
 [[nodiscard]] haptics::PoseSample pose_sample(const suture::v1::ToolPose& wire,
                                               std::uint64_t writer) noexcept;
 
+/// Returns what a device says that it showed; what is not finite is zero.
+[[nodiscard]] haptics::RenderedSample rendered_sample(
+    const suture::v1::ToolRendered& wire) noexcept;
+
+/// Returns the limits that a device tells of itself.
+[[nodiscard]] haptics::DeviceLimits device_limits(const suture::v1::DeviceProfile& wire) noexcept;
+
 /// Fills `wire` but for its tool, device and stamp.
 void set_force(suture::v1::ToolForce& wire, const haptics::ForceSample& force) noexcept;
 

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "protocol/pose_check.hpp"
+#include "protocol/virtual_coupling.hpp"
 #include "scene/scene.hpp"
 
 namespace sutured::haptics {
@@ -11,16 +13,11 @@ namespace {
 
 // A ramp ends before the promised 50 ms, so that a late tick does not break it.
 constexpr std::int64_t kZeroAfterStale_ns = 30 * kMillisecond_ns;
-constexpr std::int64_t kModelZeroAfter_ns = 45 * kMillisecond_ns;
-constexpr std::int64_t kModelRampMin_ns = 9 * kMillisecond_ns;
 
 // A device that was held up sends what it missed at once; so many poses may come early.
 constexpr std::int64_t kBurst_ns = 8 * kPosePeriodMin_ns;
-// Poses a millisecond apart may arrive together: a jump is one beyond this slack too.
-constexpr std::int64_t kJitter_ns = 5 * kMillisecond_ns;
-constexpr double kMaxSpin_rad_per_s = 60.0;
-constexpr double kQuaternionTolerance = 1e-3;
-constexpr double kJawTolerance = 1e-3;
+// What a device renders is reported until it has been silent about it for so long.
+constexpr std::int64_t kRenderedStale_ns = 100 * kMillisecond_ns;
 // After a pause of the ticks themselves the force moves as if only so much time had gone.
 constexpr std::int64_t kSlewWindow_ns = 4 * kMillisecond_ns;
 constexpr std::int64_t kBlend_ns = 4 * kMillisecond_ns;
@@ -75,20 +72,20 @@ ToolChannel::ToolChannel(const scene::Tool& tool, std::int64_t model_period_ns)
     : pose_stale_after_ns_(milliseconds(tool.stale_after_ms)),
       pose_zero_after_ns_(pose_stale_after_ns_ + kZeroAfterStale_ns),
       model_stale_after_ns_(haptics::model_stale_after_ns(model_period_ns)),
-      model_zero_after_ns_(std::max(kModelZeroAfter_ns, model_stale_after_ns_ + kModelRampMin_ns)),
+      model_zero_after_ns_(suture::model_zero_after_ns(model_stale_after_ns_)),
       max_speed_m_per_s_(tool.max_speed_m_per_s),
       clutch_mask_(tool.workspace.clutch_button < 0 || tool.workspace.clutch_button > 31
                        ? 0U
                        : 1U << static_cast<unsigned>(tool.workspace.clutch_button)),
+      hand_over_tool_stiffness_(tool.workspace.force_scale * tool.workspace.motion_scale),
       workspace_(tool.workspace) {
-  const suture::ForceLimits asked{
+  scene_limits_ = {
       .max_force_n = tool.max_force_n,
       .max_torque_nm = tool.max_torque_nm,
       .max_force_slew_n_per_s = tool.max_force_slew_n_per_s,
       .max_torque_slew_nm_per_s = tool.max_torque_slew_nm_per_s,
   };
-  limits_ = suture::stoppable_within(
-      asked, std::min(kFade_ns, model_zero_after_ns_ - model_stale_after_ns_));
+  set_device_limits({});
 }
 
 // ------------------------------------------------------------------ receive thread
@@ -158,6 +155,19 @@ std::optional<ForceSample> ToolChannel::on_pose(const PoseSample& sample,
   return force;
 }
 
+void ToolChannel::on_rendered(const RenderedSample& sample, std::int64_t now_ns) noexcept {
+  // What the server cannot see by itself; faults of poses it counts as they come.
+  constexpr std::uint32_t kOnlyThere =
+      fault_bit(Fault::kModelStale) | fault_bit(Fault::kModelNotFinite) |
+      fault_bit(Fault::kModelPivots) | fault_bit(Fault::kForceLimit) |
+      fault_bit(Fault::kSlewLimit) | fault_bit(Fault::kEnergy);
+  const std::uint32_t begun = sample.faults & ~rendered_faults_ & kOnlyThere;
+  for (int i = 0; i < kFaultCount; ++i)
+    if ((begun >> i & 1U) != 0) count(counters_.faults[i]);
+  rendered_faults_ = sample.faults;
+  rendered_.publish({sample, now_ns});
+}
+
 // ------------------------------------------------------------------ supervisor
 
 std::optional<ForceSample> ToolChannel::supervise(std::int64_t now_ns) noexcept {
@@ -193,9 +203,31 @@ void ToolChannel::publish_model(const suture::HapticModel& model, std::int64_t t
   }
   StampedModel& place = models_.back();
   place.model = model;
+  const double scale = targets_.front().frame == Frame::kDevice ? hand_over_tool_stiffness_ : 1.0;
+  suture::couple_model(place.model, max_stiffness_n_per_m() / scale);
   place.taken_ns = taken_ns;
   place.published_ns = now_ns;
   models_.publish();
+}
+
+void ToolChannel::set_device_limits(const DeviceLimits& device) noexcept {
+  const suture::ForceLimits allowed =
+      suture::stoppable_within(suture::smaller_of(scene_limits_, device.force),
+                               std::min(kFade_ns, model_zero_after_ns_ - model_stale_after_ns_));
+  max_force_n_.store(allowed.max_force_n, std::memory_order_relaxed);
+  max_torque_nm_.store(allowed.max_torque_nm, std::memory_order_relaxed);
+  max_force_slew_n_per_s_.store(allowed.max_force_slew_n_per_s, std::memory_order_relaxed);
+  max_torque_slew_nm_per_s_.store(allowed.max_torque_slew_nm_per_s, std::memory_order_relaxed);
+  max_stiffness_n_per_m_.store(
+      device.max_stiffness_n_per_m > 0.0 ? device.max_stiffness_n_per_m : 0.0,
+      std::memory_order_relaxed);
+}
+
+suture::ForceLimits ToolChannel::limits() const noexcept {
+  return {max_force_n_.load(std::memory_order_relaxed),
+          max_torque_nm_.load(std::memory_order_relaxed),
+          max_force_slew_n_per_s_.load(std::memory_order_relaxed),
+          max_torque_slew_nm_per_s_.load(std::memory_order_relaxed)};
 }
 
 const ToolTarget& ToolChannel::target() noexcept {
@@ -238,20 +270,21 @@ std::optional<ForceSample> ToolChannel::serve_pending(std::int64_t now_ns) noexc
 
 std::optional<Fault> ToolChannel::fault_of(const PoseSample& sample,
                                            std::int64_t now_ns) const noexcept {
-  const auto& p = sample.pose.position_m;
-  const auto& q = sample.pose.orientation_xyzw;
-  if (!all_finite(p) || !all_finite(q) || !std::isfinite(sample.jaw)) return Fault::kPoseNotFinite;
-  const double norm = std::hypot(std::hypot(q[0], q[1]), std::hypot(q[2], q[3]));
-  if (!(std::abs(norm - 1.0) <= kQuaternionTolerance)) return Fault::kPoseQuaternion;
-  if (sample.jaw < -kJawTolerance || sample.jaw > 1.0 + kJawTolerance) return Fault::kPoseJaw;
-  if (has_previous_) {
-    if (sample.frame != frame_) return Fault::kPoseJump;
-    const double elapsed_s = static_cast<double>(now_ns - good_ns_ + kJitter_ns) * 1e-9;
-    const suture::Twist xi = suture::motion_between(device_pose_, sample.pose);
-    if (std::hypot(xi[0], xi[1], xi[2]) > max_speed_m_per_s_ * elapsed_s ||
-        std::hypot(xi[3], xi[4], xi[5]) > std::max(kMaxSpin_rad_per_s * elapsed_s, 0.0))
-      return Fault::kPoseJump;
+  switch (suture::pose_fault(sample.pose, sample.jaw)) {
+    case suture::PoseFault::kNotFinite:
+      return Fault::kPoseNotFinite;
+    case suture::PoseFault::kQuaternion:
+      return Fault::kPoseQuaternion;
+    case suture::PoseFault::kJaw:
+      return Fault::kPoseJaw;
+    case suture::PoseFault::kJump:
+    case suture::PoseFault::kNone:
+      break;
   }
+  if (has_previous_ &&
+      (sample.frame != frame_ ||
+       suture::pose_jumps(device_pose_, sample.pose, now_ns - good_ns_, max_speed_m_per_s_)))
+    return Fault::kPoseJump;
   return std::nullopt;
 }
 
@@ -269,6 +302,7 @@ ForceSample ToolChannel::serve(const PoseSample& sample, std::int64_t now_ns) no
   }
   supervised_ = false;
   served_sequence_ = sample.sequence;
+  renders_itself_ = sample.renders_itself;
   pose_stamp_ns_ = sample.stamp_ns;
 
   const std::optional<Fault> fault = fault_of(sample, now_ns);
@@ -312,7 +346,8 @@ void ToolChannel::accept(const PoseSample& sample, std::int64_t now_ns) noexcept
 }
 
 void ToolChannel::publish_target() noexcept {
-  targets_.publish({stage_ != Stage::kIdle, pose_, jaw_, served_sequence_, writer_, workspace_});
+  targets_.publish(
+      {stage_ != Stage::kIdle, pose_, jaw_, served_sequence_, writer_, frame_, workspace_});
 }
 
 void ToolChannel::begin_fading(std::int64_t now_ns) noexcept {
@@ -358,6 +393,7 @@ void ToolChannel::leave_or_stay(std::int64_t now_ns) noexcept {
     stage_ = Stage::kRendering;
     gain_.clear();
     blend_.clear();
+    energy_.restart();
   }
 }
 
@@ -409,6 +445,20 @@ ToolState ToolChannel::state() const noexcept {
   return latched_ != 0 ? ToolState::kFault : ToolState::kRamping;
 }
 
+// Of what the hand feels, in its own frame and scale. A frozen pose does no work: a fade is
+// not looked at. A device that renders itself watches itself (its forces are not ours, and
+// come late): what it says to have shown is added up, but ends nothing here.
+void ToolChannel::observe_energy(const suture::Wrench& world, const suture::Wrench& shown,
+                                 std::int64_t now_ns, std::int64_t elapsed_ns) noexcept {
+  if (stage_ != Stage::kRendering || !has_previous_) return;
+  const double to_hand =
+      frame_ == Frame::kDevice ? workspace_.force_scale() / workspace_.motion_scale() : 1.0;
+  const double stored_j = to_hand * suture::recoverable_energy_j(models_.front().model, world);
+  if (energy_.update(shown, device_pose_, stored_j, elapsed_ns) || renders_itself_) return;
+  note(Fault::kEnergy);
+  begin_fading(now_ns);
+}
+
 ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexcept {
   // Two threads may tick with times taken in the other order.
   now_ns = std::max(now_ns, rendered_ns_);
@@ -437,15 +487,23 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
     count(counters_.recoveries);
   }
   const suture::Wrench felt = scaled(world, gain);
+  const suture::ForceLimits limits = this->limits();
   bool too_strong = false, too_fast = false;
   // Before the gain, or a force far beyond the limit would stay at it for most of a ramp;
   // and after it, because the limits stand last.
   const suture::Wrench hand = suture::limit_magnitude(
-      frame_ == Frame::kDevice ? workspace_.to_device(world) : world, limits_, too_strong);
-  const suture::Wrench wanted = suture::limit_magnitude(scaled(hand, gain), limits_, too_strong);
-  last_ = suture::limit_slew(wanted, last_, elapsed_ns, limits_, too_fast);
-  note_while(Fault::kForceLimit, too_strong);
-  note_while(Fault::kSlewLimit, too_fast);
+      frame_ == Frame::kDevice ? workspace_.to_device(world) : world, limits, too_strong);
+  const suture::Wrench wanted = suture::limit_magnitude(scaled(hand, gain), limits, too_strong);
+  last_ = suture::limit_slew(wanted, last_, elapsed_ns, limits, too_fast);
+
+  rendered_.update();
+  const Rendered& rendered = rendered_.front();
+  const bool told = renders_itself_ && rendered.arrived_ns != 0 &&
+                    now_ns - rendered.arrived_ns < kRenderedStale_ns;
+  const suture::Wrench& shown = told ? rendered.sample.wrench : last_;
+  observe_energy(world, shown, now_ns, elapsed_ns);
+  note_while(Fault::kForceLimit, too_strong && !renders_itself_);
+  note_while(Fault::kSlewLimit, too_fast && !renders_itself_);
 
   ForceSample force;
   force.writer = writer_;
@@ -462,18 +520,21 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   force.touching = has_model_ && models_.front().model.touching;
   force.engaged = engaged && !clutched_ && stage_ != Stage::kFading;
   force.from_supervisor = from_supervisor;
+  force.renders_itself = renders_itself_;
   force.wrench = last_;
   count(counters_.forces);
   // A summary taken in between may lose one tick's age; the next tick brings it back.
   if (force.model_age_ns > model_age_max_ns_.load(std::memory_order_relaxed))
     model_age_max_ns_.store(force.model_age_ns, std::memory_order_relaxed);
 
-  const double shown_n = magnitude(last_.force_n);
-  silent_.store(shown_n == 0.0 && magnitude(last_.torque_nm) == 0.0, std::memory_order_release);
+  const double shown_n = magnitude(shown.force_n);
+  silent_.store(magnitude(last_.force_n) == 0.0 && magnitude(last_.torque_nm) == 0.0,
+                std::memory_order_release);
   peak_force_n_ = std::max(peak_force_n_, shown_n);
   ToolReport& report = reports_.back();
   report.state = force.state;
-  report.faults = force.faults;
+  report.faults = force.faults | (told ? rendered.sample.faults : 0U);
+  report.renders_itself = renders_itself_;
   report.writer = writer_;
   report.pose = pose_;
   report.jaw = jaw_;
@@ -483,6 +544,8 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   report.engaged = force.engaged;
   report.shown_force_n = shown_n;
   report.peak_force_n = peak_force_n_;
+  report.energy_to_hand_j = energy_.given_j();
+  report.energy_debt_peak_j = energy_.peak_debt_j();
   reports_.publish();
   return force;
 }

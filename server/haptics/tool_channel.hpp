@@ -25,6 +25,9 @@
 // kFading: the tool's pose is frozen and the gain falls to zero within 30 ms.
 // kSettling: zero force. Poses move the tool again, unless clutched.
 //
+// A device may render the models itself. The channel then serves it all the same, so that
+// either side can take over at any time, but reports what the device says that it showed.
+//
 // Times are arguments (monotonic nanoseconds): nothing here reads a clock.
 #pragma once
 
@@ -34,6 +37,7 @@
 #include <optional>
 
 #include "haptics/workspace.hpp"
+#include "protocol/energy_observer.hpp"
 #include "protocol/force_shaping.hpp"
 #include "protocol/haptic_model.hpp"
 #include "protocol/snapshot.hpp"
@@ -88,8 +92,22 @@ struct PoseSample {
   double jaw = 0.0;
   std::uint32_t buttons = 0;
   Frame frame = Frame::kDevice;
-  bool goodbye = false;  ///< the device gives its lease back
-  bool stop = false;     ///< emergency stop at the device
+  bool goodbye = false;         ///< the device gives its lease back
+  bool stop = false;            ///< emergency stop at the device
+  bool renders_itself = false;  ///< the hand feels what the device evaluates, not our answer
+};
+
+/// What a device that renders itself says that the hand felt.
+struct RenderedSample {
+  std::uint64_t model_sequence = 0;
+  std::uint32_t faults = 0;  ///< as the device saw them
+  suture::Wrench wrench;     ///< in the frame and scale of its poses
+};
+
+/// What a device can do, told by itself. Not positive: it does not say.
+struct DeviceLimits {
+  suture::ForceLimits force{0.0, 0.0, 0.0, 0.0};
+  double max_stiffness_n_per_m = 0.0;  ///< at the hand
 };
 
 /// How a tool's force stands; as on the wire.
@@ -119,6 +137,7 @@ struct ForceSample {
   bool touching = false;
   bool engaged = false;
   bool from_supervisor = false;  ///< true: not an answer to a new pose
+  bool renders_itself = false;   ///< echo: the models hold for the device
   suture::Wrench wrench;         ///< in `frame`; scaled where that is the device's
 };
 
@@ -129,7 +148,8 @@ struct ToolTarget {
   double jaw = 0.0;
   std::uint64_t pose_sequence = 0;
   std::uint64_t writer = 0;
-  Workspace mapping;  ///< in force
+  Frame frame = Frame::kDevice;  ///< of the poses; in the world nothing is scaled
+  Workspace mapping;             ///< in force
 };
 
 /// How a tool stands, for everyone who only looks.
@@ -143,8 +163,11 @@ struct ToolReport {
   double gain = 0.0;
   bool touching = false;
   bool engaged = false;
-  double shown_force_n = 0.0;  ///< magnitude at the hand
-  double peak_force_n = 0.0;   ///< of the same, since construction
+  bool renders_itself = false;      ///< and says so: the next three are the device's figures
+  double shown_force_n = 0.0;       ///< magnitude at the hand
+  double peak_force_n = 0.0;        ///< of the same, since construction
+  double energy_to_hand_j = 0.0;    ///< since the engagement began, less what the hand put in
+  double energy_debt_peak_j = 0.0;  ///< largest EnergyObserver::debt_j since construction
 };
 
 /// Counts since construction. Each only grows; a reader that finds one larger than
@@ -207,6 +230,15 @@ class ToolChannel {
     return model_age_max_ns_.exchange(0, std::memory_order_relaxed);
   }
 
+  /// Takes what a device that renders itself showed. Receive thread; the caller has seen to it
+  /// that it comes from the lease's holder.
+  void on_rendered(const RenderedSample& sample, std::int64_t now_ns) noexcept;
+
+  /// Makes the limits of the device that holds the lease hold beside the scene's: the smaller
+  /// one of each, from the next tick and model on. {} for a device that told none. Any one
+  /// thread.
+  void set_device_limits(const DeviceLimits& device) noexcept;
+
   /// Ends the lease if `writer` holds it: it left, or was told to.
   void end_lease(std::uint64_t writer) noexcept;
   /// Returns who holds the lease, 0 for nobody.
@@ -222,7 +254,12 @@ class ToolChannel {
   void set_paused(bool paused) noexcept { paused_.store(paused, std::memory_order_release); }
 
   [[nodiscard]] const ToolCounters& counters() const noexcept { return counters_; }
-  [[nodiscard]] const suture::ForceLimits& limits() const noexcept { return limits_; }
+  /// Returns what a force keeps to now: the scene's limits and the device's. Any thread.
+  [[nodiscard]] suture::ForceLimits limits() const noexcept;
+  /// Returns how stiff models may be at the hand (N/m); 0: the device sets no limit.
+  [[nodiscard]] double max_stiffness_n_per_m() const noexcept {
+    return max_stiffness_n_per_m_.load(std::memory_order_relaxed);
+  }
   [[nodiscard]] std::int64_t pose_stale_after_ns() const noexcept { return pose_stale_after_ns_; }
 
  private:
@@ -249,17 +286,20 @@ class ToolChannel {
   ForceSample render(std::int64_t now_ns, bool from_supervisor) noexcept;
   suture::Wrench model_wrench(std::int64_t now_ns) noexcept;
   double ceiling(std::int64_t now_ns) noexcept;
+  void observe_energy(const suture::Wrench& world, const suture::Wrench& shown, std::int64_t now_ns,
+                      std::int64_t elapsed_ns) noexcept;
   void note(Fault fault) noexcept;
   void note_while(Fault fault, bool present) noexcept;
   void publish_target() noexcept;
   ToolState state() const noexcept;
 
   // Fixed at construction.
-  suture::ForceLimits limits_;
+  suture::ForceLimits scene_limits_;
   std::int64_t pose_stale_after_ns_, pose_zero_after_ns_;
   std::int64_t model_stale_after_ns_, model_zero_after_ns_;
   double max_speed_m_per_s_;
   std::uint32_t clutch_mask_;
+  double hand_over_tool_stiffness_;  // in the device's frame: force_scale × motion_scale
 
   // Shared.
   std::atomic<bool> held_{false};
@@ -267,6 +307,9 @@ class ToolChannel {
   std::atomic<std::uint64_t> lease_{0};
   std::atomic<std::int64_t> last_arrival_ns_{0};
   std::atomic<std::int64_t> model_age_max_ns_{0};
+  // Each by itself: a tick may see one changed and the next not yet; slew takes what steps.
+  std::atomic<double> max_force_n_, max_torque_nm_, max_force_slew_n_per_s_,
+      max_torque_slew_nm_per_s_, max_stiffness_n_per_m_{0.0};
   ToolCounters counters_;
   struct Arrival {
     PoseSample sample;
@@ -276,17 +319,25 @@ class ToolChannel {
   suture::Snapshot<StampedModel> models_;  // simulation → holder
   suture::Snapshot<ToolTarget> targets_;   // holder → simulation
   suture::Snapshot<ToolReport> reports_;   // holder → whoever looks
+  struct Rendered {
+    RenderedSample sample;
+    std::int64_t arrived_ns = 0;
+  };
+  suture::Snapshot<Rendered> rendered_;  // receive thread → holder
 
   // Receive thread only.
   std::uint64_t admitted_writer_ = 0, admitted_sequence_ = 0;
   std::int64_t due_ns_ = 0;
   bool was_refused_ = false;
+  std::uint32_t rendered_faults_ = 0;  // the device's last
 
   // Holder of the token only.
   Workspace workspace_;
   suture::ModelEvaluator evaluator_;
   suture::SwapBlend blend_;
   suture::RampedGain gain_{kRecovery_ns};
+  suture::EnergyObserver energy_;
+  bool renders_itself_ = false;
   Stage stage_ = Stage::kIdle;
   std::uint64_t writer_ = 0;  // of the engagement
   std::uint64_t served_sequence_ = 0;
