@@ -130,6 +130,7 @@ ToolStatus to_tool_status(const v1::ToolStatus& wire) {
   tool.peak_force_n = wire.peak_force_n;
   tool.model_age_ms = wire.model_age_ms;
   tool.tick = to_percentiles(wire.tick);
+  tool.energy_to_hand_j = wire.energy_to_hand_j;
   tool.max_force_n = wire.max_force_n;
   tool.stale_after_ms = wire.stale_after_ms;
   return tool;

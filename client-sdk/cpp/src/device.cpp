@@ -26,6 +26,9 @@ namespace {
 using Clock = std::chrono::steady_clock;
 constexpr int kTickPriority = 60;  // below the receive thread, which feeds it
 constexpr std::int64_t kSecondNs = 1'000'000'000;
+// Two forces within the limits differ by twice the largest at most: long enough to fade that.
+constexpr std::int64_t kHandoverNs = 60'000'000;
+constexpr std::int64_t kRenderedPeriodNs = 950'000;  // at most 1 kHz, with room for jitter
 
 /// A force and when it arrived; 0: none did.
 struct Arrival {
@@ -128,6 +131,11 @@ struct Device::State {
         guard(std::chrono::nanoseconds(options.silent_after).count()) {}
 
   void connect();
+  void tell_profile();
+  void listen_to_models();
+  [[nodiscard]] Force shown(const Force& answer, const Hand& from, std::int64_t now_ns) noexcept;
+  [[nodiscard]] Force handed_over(const Force& force, std::int64_t now_ns) noexcept;
+  void tell_rendered(const Force& force, std::int64_t now_ns) noexcept;
   void receive() noexcept;         // receive thread
   void receive_models() noexcept;  // receive thread
   /// Counts a force; returns false for one that a newer force has overtaken on its way, to be
@@ -145,7 +153,8 @@ struct Device::State {
   double max_force_n = 0.0;
 
   // The receive thread's.
-  std::atomic<bool> ready{false};  // writer and reader stand
+  std::atomic<bool> ready{false};         // writer and reader stand
+  std::atomic<bool> models_ready{false};  // and that of the models
   std::uint64_t last_hand_sequence = 0;
   std::uint64_t last_force_sequence = 0;
   std::atomic<std::uint64_t> received{0}, last_answered{0}, repeated{0}, out_of_order{0};
@@ -160,7 +169,15 @@ struct Device::State {
 
   // The caller's.
   ForceGuard guard;
-  std::unique_ptr<ModelRenderer> renderer;  // where the device renders; 60 kB
+  std::unique_ptr<ModelRenderer> renderer;  // once the device has rendered; 70 kB
+  Render wanted = Render::kServer, shown_by = Render::kServer;
+  Force last;                // handed out
+  std::int64_t last_ns = 0;  // when
+  SwapBlend handover;        // from one renderer to the other
+  bool handing_over = false;
+  std::int64_t rendered_told_ns = 0;
+  v1::ToolRendered rendered{};
+  bool stop_asked = false;  // by a hand, and not yet confirmed by the server
   Hand hand;
   v1::ToolPose pose{};
   std::atomic<bool> stopping{false};
@@ -170,6 +187,8 @@ struct Device::State {
 
   // Last: destroyed first, so that no callback outlives what it uses.
   Writer<v1::ToolPose> writer;
+  Writer<v1::DeviceProfile> profile_writer;
+  Writer<v1::ToolRendered> rendered_writer;
   Reader<v1::ToolForce> reader;
   Reader<v1::HapticModel> model_reader;
 };
@@ -213,13 +232,9 @@ void Device::State::connect() {
   from_reader.matched = [this](int) { doorbell.ring(); };
   from_reader.incompatible_qos = note_policy;
   reader = Reader<v1::ToolForce>(participant, std::move(from_reader));
-  if (options.render == Render::kDevice) {
-    renderer = std::make_unique<ModelRenderer>();
-    EndpointCallbacks from_models;
-    from_models.data_available = [this] { receive_models(); };
-    from_models.incompatible_qos = note_policy;
-    model_reader = Reader<v1::HapticModel>(participant, std::move(from_models));
-  }
+  tell_profile();
+  if (options.render == Render::kDevice) listen_to_models();
+  wanted = shown_by = options.render;
   ready.store(true, std::memory_order_release);
 
   if (!doorbell.wait([&] { return writer.matched() > 0 && reader.matched() > 0; }, end)) {
@@ -233,6 +248,40 @@ void Device::State::connect() {
                 "the server's status was heard, but it does not take part in poses and forces",
                 "see the server's log; with DDS Security, check this device's permissions");
   }
+}
+
+// Before the first pose, so that it is there when the lease begins.
+void Device::State::tell_profile() {
+  profile_writer = Writer<v1::DeviceProfile>(participant);
+  v1::DeviceProfile profile{};
+  set_text(profile.tool, options.tool);
+  profile.epoch = epoch.load(std::memory_order_relaxed);
+  profile.sequence_number = 1;
+  profile.stamp_ns = wall_clock_ns();
+  set_guid(profile.device, writer.guid());
+  set_text(profile.model, options.model);
+  profile.max_force_n = options.limits.max_force_n;
+  profile.max_torque_nm = options.limits.max_torque_nm;
+  profile.max_stiffness_n_per_m = options.limits.max_stiffness_n_per_m;
+  profile.max_force_slew_n_per_s = options.limits.max_force_slew_n_per_s;
+  profile_writer.write(profile);
+}
+
+void Device::State::listen_to_models() {
+  if (!renderer) {
+    renderer = std::make_unique<ModelRenderer>(options.limits, options.max_speed_m_per_s);
+    rendered_writer = Writer<v1::ToolRendered>(participant);
+    rendered.tool_id = id;
+  }
+  EndpointCallbacks from_models;
+  from_models.data_available = [this] { receive_models(); };
+  from_models.incompatible_qos = [this](const std::string& name) {
+    const std::lock_guard lock(policy_mutex);
+    policy = name;
+  };
+  models_ready.store(false, std::memory_order_release);
+  model_reader = Reader<v1::HapticModel>(participant, std::move(from_models));
+  models_ready.store(true, std::memory_order_release);
 }
 
 void Device::State::receive() noexcept {
@@ -259,7 +308,8 @@ void Device::State::receive() noexcept {
 }
 
 void Device::State::receive_models() noexcept {
-  if (!ready.load(std::memory_order_acquire)) return;
+  // As above; the models to come bring this one along.
+  if (!models_ready.load(std::memory_order_acquire)) return;
   model_reader.take_each([&](const v1::HapticModel& wire, const SampleInfo& info) {
     if (!info.valid || text_of(wire.tool) != options.tool) return;
     if (guid_of(wire.device) == writer.guid()) renderer->receive(wire, monotonic_ns());
@@ -366,22 +416,104 @@ std::uint64_t Device::write(const Hand& hand) noexcept {
   }
   pose.jaw = static_cast<float>(hand.jaw);
   pose.buttons = hand.buttons;
-  pose.flags = (hand.in_world ? std::uint32_t{suture_v1_POSE_IN_WORLD} : 0U) |
-               (hand.stop ? std::uint32_t{suture_v1_POSE_STOP} : 0U) |
-               (state.renderer ? std::uint32_t{suture_v1_POSE_RENDER_DEVICE} : 0U);
+  pose.flags =
+      (hand.in_world ? std::uint32_t{suture_v1_POSE_IN_WORLD} : 0U) |
+      (state.shown_by == Render::kDevice ? std::uint32_t{suture_v1_POSE_RENDER_DEVICE} : 0U);
+  if (hand.stop) state.stop_asked = true;
+  // Poses may be lost: a stop is asked for until the server says that it holds.
+  if (state.stop_asked) pose.flags |= suture_v1_POSE_STOP;
   state.hand = hand;
   pose.stamp_ns = wall_clock_ns();
   state.writer.write(pose);
   return pose.sequence_number;
 }
 
+void Device::set_render(Render render) {
+  State& state = *state_;
+  if (render == state.wanted) return;
+  state.wanted = render;
+  if (render == Render::kDevice) {
+    state.listen_to_models();
+  } else {
+    state.model_reader = {};
+  }
+}
+
+Render Device::renders() const noexcept { return state_->shown_by; }
+
 Force Device::read() noexcept { return feel(state_->hand); }
 
 Force Device::feel(const Hand& hand) noexcept {
-  const Arrival& last = state_->arrivals.latest();
+  State& state = *state_;
+  const Arrival& last = state.arrivals.latest();
   const std::int64_t now_ns = monotonic_ns();
-  const Force answer = state_->guard.show(last.force, last.at_ns, now_ns);
-  return state_->renderer ? state_->renderer->render(hand, answer, now_ns) : answer;
+  if (hand.stop) state.stop_asked = true;
+  if (last.force.state == ForceState::kStopped && !hand.stop) state.stop_asked = false;
+  const Force answer = state.guard.show(last.force, last.at_ns, state.stop_asked, now_ns);
+  const Force force = state.handed_over(state.shown(answer, hand, now_ns), now_ns);
+  if (state.shown_by == Render::kDevice) state.tell_rendered(force, now_ns);
+  state.last = force;
+  state.last_ns = now_ns;
+  return force;
+}
+
+// Returns the force of whoever renders now, and changes that where it is time.
+Force Device::State::shown(const Force& answer, const Hand& from, std::int64_t now_ns) noexcept {
+  const auto change_to = [&](Render next, const Force& theirs) {
+    shown_by = next;
+    handing_over = true;
+    handover.swap({last.force_n, last.torque_nm}, {theirs.force_n, theirs.torque_nm}, now_ns,
+                  kHandoverNs);
+  };
+  if (wanted == Render::kServer && shown_by == Render::kServer) return answer;
+  const Force own = renderer->render(from, answer, stop_asked, now_ns);
+  if (wanted == Render::kServer) {
+    change_to(Render::kServer, answer);
+    return answer;
+  }
+  if (shown_by == Render::kDevice) return own;
+  // The server's until ours is whole, or both are zero.
+  const bool both_silent = norm(answer.force_n) + norm(answer.torque_nm) == 0.0 &&
+                           norm(own.force_n) + norm(own.torque_nm) == 0.0 &&
+                           renderer->current().arrived_ns != 0;
+  if (!renderer->whole() && !both_silent) return answer;
+  change_to(Render::kDevice, own);
+  return own;
+}
+
+// Takes the step out of a change of renderer: the difference fades, within the slew limit.
+Force Device::State::handed_over(const Force& force, std::int64_t now_ns) noexcept {
+  if (!handing_over) return force;
+  const Wrench eased_to = handover.apply({force.force_n, force.torque_nm}, now_ns);
+  const ForceLimits& limits = renderer->current().limits;
+  bool limited = false, slewed = false;
+  const Wrench eased =
+      limit_slew(limit_magnitude(eased_to, limits, limited), {last.force_n, last.torque_nm},
+                 std::min(now_ns - last_ns, kHandoverNs), limits, slewed);
+  handing_over = slewed || !handover.over(now_ns);
+  Force result = force;
+  result.force_n = eased.force_n;
+  result.torque_nm = eased.torque_nm;
+  return result;
+}
+
+void Device::State::tell_rendered(const Force& force, std::int64_t now_ns) noexcept {
+  if (now_ns - rendered_told_ns < kRenderedPeriodNs) return;
+  rendered_told_ns = now_ns;
+  rendered.epoch = renderer->current().model.epoch;
+  ++rendered.sequence_number;
+  rendered.stamp_ns = wall_clock_ns();
+  rendered.pose_sequence = pose.sequence_number;
+  rendered.model_sequence = renderer->current().model.sequence;
+  rendered.faults = renderer->faults();
+  rendered.flags = suture_v1_FORCE_RENDER_DEVICE |
+                   (hand.in_world ? std::uint32_t{suture_v1_FORCE_IN_WORLD} : 0U) |
+                   (force.touching ? std::uint32_t{suture_v1_FORCE_TOUCHING} : 0U) |
+                   (force.holding ? std::uint32_t{suture_v1_FORCE_HOLDING} : 0U) |
+                   (force.engaged ? std::uint32_t{suture_v1_FORCE_ENGAGED} : 0U);
+  std::copy(force.force_n.begin(), force.force_n.end(), rendered.force_n);
+  std::copy(force.torque_nm.begin(), force.torque_nm.end(), rendered.torque_nm);
+  rendered_writer.write(rendered);
 }
 
 std::optional<Force> Device::read_after(std::uint64_t sequence,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "force_guard.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace suture {
@@ -16,16 +17,25 @@ ForceGuard::ForceGuard(std::int64_t silent_after_ns) noexcept : silent_after_ns_
   gain_.update(1.0, kRiseNs);  // the server has its own ramp for a beginning
 }
 
-Force ForceGuard::show(const Force& last, std::int64_t arrival_ns, std::int64_t now_ns) noexcept {
+Force ForceGuard::show(const Force& last, std::int64_t arrival_ns, bool stop,
+                       std::int64_t now_ns) noexcept {
+  if (!stop) {
+    stop_since_ns_ = 0;
+  } else if (stop_since_ns_ == 0) {
+    stop_since_ns_ = now_ns;
+  }
   if (arrival_ns == 0) return {};
   Force shown = last;
   const std::int64_t elapsed_ns = shown_at_ns_ == 0 ? 0 : now_ns - shown_at_ns_;
   shown_at_ns_ = now_ns;
 
   const std::int64_t age_ns = now_ns - arrival_ns;
-  const double gain =
-      gain_.update(freshness(age_ns, silent_after_ns_, silent_after_ns_ + kFadeNs), elapsed_ns);
-  if (age_ns > silent_after_ns_) {
+  double ceiling = freshness(age_ns, silent_after_ns_, silent_after_ns_ + kFadeNs);
+  if (stop) ceiling = std::min(ceiling, freshness(now_ns - stop_since_ns_, 0, kFadeNs));
+  const double gain = gain_.update(ceiling, elapsed_ns);
+  if (stop) {
+    shown.state = ForceState::kStopped;
+  } else if (age_ns > silent_after_ns_) {
     shown.state = ForceState::kServerSilent;
   } else if (gain < 1.0) {
     shown.state = ForceState::kRamping;

@@ -12,7 +12,8 @@ namespace suture {
 ///
 ///     shown = gain × last force,   gain: 1 while forces arrive,
 ///                                  1 → 0 within 30 ms from `silent_after_ns` on,
-///                                  0 → 1 within 50 ms once they arrive again
+///                                  0 → 1 within 50 ms once they arrive again,
+///                                  and 1 → 0 within 30 ms while the device asks for a stop
 ///
 /// The gain is a smoothstep, whose steepest slope is 1.5 times its mean.
 ///
@@ -25,13 +26,15 @@ class ForceGuard {
 
   explicit ForceGuard(std::int64_t silent_after_ns) noexcept;
 
-  /// Returns what to show at `now_ns`, when `last` arrived at `arrival_ns` (0: never).
-  [[nodiscard]] Force show(const Force& last, std::int64_t arrival_ns,
+  /// Returns what to show at `now_ns`, when `last` arrived at `arrival_ns` (0: never). `stop`:
+  /// the device's own stop, which waits for no server.
+  [[nodiscard]] Force show(const Force& last, std::int64_t arrival_ns, bool stop,
                            std::int64_t now_ns) noexcept;
 
  private:
   std::int64_t silent_after_ns_;
   std::int64_t shown_at_ns_ = 0;
+  std::int64_t stop_since_ns_ = 0;  // 0: no stop
   RampedGain gain_{kRiseNs};
 };
 

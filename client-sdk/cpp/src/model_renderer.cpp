@@ -5,6 +5,9 @@
 #include <cmath>
 #include <cstring>
 
+#include "protocol/pose_check.hpp"
+#include "protocol/virtual_coupling.hpp"
+
 namespace suture {
 namespace {
 
@@ -70,7 +73,7 @@ bool is_rotation(const double (&q)[4]) noexcept {
 
 }  // namespace
 
-bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns,
+bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const DeviceLimits& device,
                    ReceivedModel& received) noexcept {
   const std::size_t rows = wire.offset_m._length;
   if (rows > kModelRowsMax || wire.compliance_m_per_n._length != rows * (rows + 1) / 2 ||
@@ -78,8 +81,9 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns,
       wire.multiplier_max_n._length != rows || !is_rotation(wire.reference_orientation_xyzw) ||
       !is_rotation(wire.mapping.orientation_xyzw) ||
       !is_rotation(wire.mapping.tool_orientation_xyzw) || !(wire.mapping.motion_scale > 0.0) ||
-      !(wire.max_force_n > 0.0) || !(wire.max_torque_nm > 0.0) ||
-      !(wire.max_force_slew_n_per_s > 0.0) || !(wire.max_torque_slew_nm_per_s > 0.0)) {
+      !(wire.mapping.force_scale > 0.0) || !(wire.max_force_n > 0.0) ||
+      !(wire.max_torque_nm > 0.0) || !(wire.max_force_slew_n_per_s > 0.0) ||
+      !(wire.max_torque_slew_nm_per_s > 0.0)) {
     return false;
   }
   HapticModel& model = received.model;
@@ -118,10 +122,16 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns,
   received.mapping = wire.mapping;
   received.blend_ns = wire.blend_ns;
   received.ramp_ns = std::max<std::int64_t>(wire.ramp_ns, 1);
-  // A force that cannot end within the ramp must not begin.
-  received.limits = stoppable_within({wire.max_force_n, wire.max_torque_nm,
-                                      wire.max_force_slew_n_per_s, wire.max_torque_slew_nm_per_s},
-                                     received.ramp_ns);
+  received.stale_after_ns = std::max<std::int64_t>(wire.stale_after_ns, 0);
+  received.zero_after_ns = model_zero_after_ns(received.stale_after_ns);
+  // A force that cannot end within the shortest ramp must not begin.
+  received.limits = stoppable_within(
+      smaller_of({wire.max_force_n, wire.max_torque_nm, wire.max_force_slew_n_per_s,
+                  wire.max_torque_slew_nm_per_s},
+                 {device.max_force_n, device.max_torque_nm, device.max_force_slew_n_per_s, 0.0}),
+      std::min(received.ramp_ns, received.zero_after_ns - received.stale_after_ns));
+  couple_model(
+      model, device.max_stiffness_n_per_m / (wire.mapping.force_scale * wire.mapping.motion_scale));
   received.engaged = (wire.flags & suture_v1_MODEL_ENGAGED) != 0;
   received.stopped = (wire.flags & suture_v1_MODEL_STOPPED) != 0;
   received.arrived_ns = arrived_ns;
@@ -129,15 +139,52 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns,
 }
 
 void ModelRenderer::receive(const v1::HapticModel& wire, std::int64_t now_ns) noexcept {
-  if (receive_model(wire, now_ns, models_.back())) models_.publish();
+  if (receive_model(wire, now_ns, device_, models_.back())) models_.publish();
 }
 
-Wrench ModelRenderer::model_wrench(const Hand& hand, std::int64_t now_ns) noexcept {
+// Looks at a hand before anything follows it.
+void ModelRenderer::heed(const Hand& hand, std::int64_t now_ns) noexcept {
+  const Pose pose{hand.position_m, hand.orientation_xyzw};
+  std::uint32_t fault = 0;
+  switch (pose_fault(pose, hand.jaw)) {
+    case PoseFault::kNotFinite:
+      fault = suture_v1_FAULT_POSE_NOT_FINITE;
+      break;
+    case PoseFault::kQuaternion:
+      fault = suture_v1_FAULT_POSE_QUATERNION;
+      break;
+    case PoseFault::kJaw:
+      fault = suture_v1_FAULT_POSE_JAW;
+      break;
+    case PoseFault::kJump:
+    case PoseFault::kNone:
+      break;
+  }
+  const bool pose_is_good = fault == 0;
+  if (pose_is_good && has_previous_ &&
+      (hand.in_world != previous_.in_world ||
+       pose_jumps({previous_.position_m, previous_.orientation_xyzw}, pose, now_ns - good_ns_,
+                  max_speed_m_per_s_))) {
+    fault = suture_v1_FAULT_POSE_JUMP;
+  }
+  if (fault != 0) {
+    latched_ |= fault;
+    good_since_ns_ = now_ns;
+  }
+  // A jump is a good hand in itself: the next ones are measured from there.
+  if (!pose_is_good) return;
+  if (!has_previous_) good_since_ns_ = now_ns - kSettleNs;  // the server settles before it allows
+  previous_ = hand;
+  good_ns_ = now_ns;
+  has_previous_ = true;
+}
+
+Wrench ModelRenderer::model_wrench(std::int64_t now_ns) noexcept {
   // Each model with its own mapping: a clutch renews that.
   const auto evaluate_front = [&] {
     const ReceivedModel& front = models_.front();
     if (front.arrived_ns == 0) return Wrench{};
-    return evaluator_.evaluate(front.model, to_world(front.mapping, hand));
+    return evaluator_.evaluate(front.model, to_world(front.mapping, hand_));
   };
   if (!models_.pending()) return blend_.apply(evaluate_front(), now_ns);
   const Wrench shown = blend_.apply(evaluate_front(), now_ns);
@@ -153,44 +200,87 @@ double ModelRenderer::ceiling(bool allowed, std::int64_t now_ns) noexcept {
     phase_at_fade_ = gain_.phase();
     fade_since_ns_ = now_ns;
   }
-  allowed_ = allowed;
   const ReceivedModel& current = models_.front();
-  const double fresh = freshness(now_ns - current.arrived_ns, current.model.stale_after_ns,
-                                 current.model.stale_after_ns + current.ramp_ns);
+  const double fresh =
+      freshness(now_ns - current.arrived_ns, current.stale_after_ns, current.zero_after_ns);
   if (allowed) return fresh;
   return std::min(fresh, phase_at_fade_ * freshness(now_ns - fade_since_ns_, 0, current.ramp_ns));
 }
 
-Force ModelRenderer::render(const Hand& hand, const Force& server, std::int64_t now_ns) noexcept {
+Force ModelRenderer::render(const Hand& hand, const Force& server, bool stop,
+                            std::int64_t now_ns) noexcept {
   const std::int64_t elapsed_ns =
       rendered_ns_ == 0 ? 0 : std::clamp<std::int64_t>(now_ns - rendered_ns_, 0, kSlewWindowNs);
   rendered_ns_ = now_ns;
+  heed(hand, now_ns);
+  const bool good_hand = has_previous_ && now_ns - good_since_ns_ >= kSettleNs;
+
+  // That the server has fallen silent is for the models' age to judge.
+  const auto permitted = [&](const ReceivedModel& model) {
+    return model.engaged && !model.stopped && !stop && good_hand &&
+           (latched_ & suture_v1_FAULT_ENERGY) == 0 &&
+           (server.state == ForceState::kRendering || server.state == ForceState::kRamping ||
+            server.state == ForceState::kServerSilent);
+  };
+  // A hand that is not to be followed is frozen until the force is at zero.
+  if (gain_.phase() == 0.0 || (allowed_ && permitted(models_.front()))) hand_ = previous_;
   Force force = server;
   force.force_n = force.torque_nm = {};
-  const Wrench world = model_wrench(hand, now_ns);
+  const Wrench world = model_wrench(now_ns);
   const ReceivedModel& current = models_.front();
   if (current.arrived_ns == 0) return force;
 
-  // That the server has fallen silent is for the models' age to judge.
-  const bool allowed =
-      current.engaged && !current.stopped &&
-      (server.state == ForceState::kRendering || server.state == ForceState::kRamping ||
-       server.state == ForceState::kServerSilent);
-  const double gain = gain_.update(ceiling(allowed, now_ns), elapsed_ns);
-  Wrench wanted = to_hand(current.mapping, hand, world);
+  // What has begun to fade fades to the end.
+  const bool allowed = permitted(current) && (allowed_ || gain_.phase() == 0.0);
+  const double top = ceiling(allowed, now_ns);
+  if (allowed && !allowed_) energy_.restart();
+  allowed_ = allowed;
+  const double gain = gain_.update(top, elapsed_ns);
+  if (allowed && gain_.phase() >= 1.0) latched_ = 0;
+  // Over once the force was at zero and the hand has settled; then the ramp.
+  if (!allowed && gain_.phase() == 0.0 && good_hand) {
+    latched_ &= ~std::uint32_t{suture_v1_FAULT_ENERGY};
+  }
+  bool limited = false;
+  bool slewed = false;
+  // Before the gain, or a force far beyond the limit would stay at it for most of a ramp; and
+  // after it, because the limits stand last.
+  Wrench wanted = limit_magnitude(to_hand(current.mapping, hand_, world), current.limits, limited);
   for (std::size_t i = 0; i < 3; ++i) {
     wanted.force_n[i] *= gain;
     wanted.torque_nm[i] *= gain;
   }
-  bool limited = false;
-  bool slewed = false;
   wanted = limit_magnitude(wanted, current.limits, limited);
   last_ = limit_slew(wanted, last_, elapsed_ns, current.limits, slewed);
   force.force_n = last_.force_n;
   force.torque_nm = last_.torque_nm;
-  if (limited) force.faults |= suture_v1_FAULT_FORCE_LIMIT;
-  if (slewed) force.faults |= suture_v1_FAULT_SLEW_LIMIT;
-  if (allowed) force.state = gain < 1.0 ? ForceState::kRamping : ForceState::kRendering;
+
+  if (allowed) {
+    const double scale =
+        hand_.in_world ? 1.0 : current.mapping.force_scale / current.mapping.motion_scale;
+    if (!energy_.update(last_, {hand_.position_m, hand_.orientation_xyzw},
+                        scale * recoverable_energy_j(current.model, world), elapsed_ns)) {
+      latched_ |= suture_v1_FAULT_ENERGY;
+      good_since_ns_ = now_ns;  // it settles before it begins again
+    }
+  }
+  ongoing_ = 0;
+  if (limited) ongoing_ |= suture_v1_FAULT_FORCE_LIMIT;
+  if (slewed) ongoing_ |= suture_v1_FAULT_SLEW_LIMIT;
+  if (now_ns - current.arrived_ns > current.stale_after_ns) ongoing_ |= suture_v1_FAULT_MODEL_STALE;
+  if (evaluator_.fallbacks() != last_fallbacks_) ongoing_ |= suture_v1_FAULT_MODEL_PIVOTS;
+  last_fallbacks_ = evaluator_.fallbacks();
+
+  force.faults |= faults();
+  if (allowed) {
+    force.state = gain < 1.0 ? ForceState::kRamping : ForceState::kRendering;
+  } else if (stop) {
+    force.state = ForceState::kStopped;
+    force.faults |= suture_v1_FAULT_STOPPED;
+  } else if (latched_ != 0 &&
+             (server.state == ForceState::kRendering || server.state == ForceState::kRamping)) {
+    force.state = ForceState::kFault;
+  }
   force.model_age_us = static_cast<std::uint32_t>(
       std::clamp<std::int64_t>((now_ns - current.arrived_ns) / 1000, 0, UINT32_MAX));
   force.touching = current.model.touching;

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 
+#include "protocol/energy_observer.hpp"
 #include "protocol/force_shaping.hpp"
 #include "protocol/haptic_model.hpp"
 #include "protocol/snapshot.hpp"
@@ -18,47 +19,76 @@ struct ReceivedModel {
   ForceLimits limits;
   std::int64_t blend_ns = 0;
   std::int64_t ramp_ns = 0;
+  std::int64_t stale_after_ns = 0, zero_after_ns = 0;  ///< of age
   bool engaged = false;
   bool stopped = false;
   std::int64_t arrived_ns = 0;  ///< monotonic; 0: none has come
 };
 
 /// Fills `received` from the wire; false, with `received` in an unspecified state, where
-/// sizes do not fit together or the reference is no pose. Allocates nothing.
+/// sizes do not fit together or the reference is no pose. The model is coupled to what `device`
+/// renders stably (protocol/virtual_coupling.hpp) and the limits are the smaller ones of tool
+/// and device. Allocates nothing.
 [[nodiscard]] bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns,
-                                 ReceivedModel& received) noexcept;
+                                 const DeviceLimits& device, ReceivedModel& received) noexcept;
 
 /// Renders a tool's force on the device's own machine, from the server's last model and
 /// with no network in the loop.
 ///
 ///     hand ─▶ world ─▶ model ─▶ blend at a swap ─▶ device frame, scaled ─▶ × gain ─▶ limits
 ///
-/// The gain rises from zero within 200 ms. It falls to zero within the model's ramp when
-/// no newer model came in time, or the server holds forces back (a fault, a stop, a pause,
-/// a clutch): these are the server's to decide in either mode.
+/// The gain rises from zero within 200 ms. It falls to zero when no newer model came in time,
+/// or when the server holds forces back (a fault, a stop, a pause, a clutch), or for a fault
+/// seen here: a hand that is no pose or jumps, the device's stop, energy that nobody put in.
+/// A fault is not left to the server's word, which may be a network away or gone. While the
+/// gain falls the hand's pose is frozen; after a fault it takes 20 ms of good hands to rise.
 ///
-/// Threads: `receive` on one, `render` on one. Allocates: nothing.
+/// Threads: `receive` on one, `render` and the rest on one. Allocates: nothing.
 class ModelRenderer {
  public:
+  ModelRenderer(const DeviceLimits& device, double max_speed_m_per_s) noexcept
+      : device_(device), max_speed_m_per_s_(max_speed_m_per_s) {}
+
   /// Takes a model in; one that does not hold together is dropped.
   void receive(const v1::HapticModel& wire, std::int64_t now_ns) noexcept;
 
   /// Returns the force for `hand` now. `server` is the last word of the server on this
-  /// tool: its state and faults pass through.
-  [[nodiscard]] Force render(const Hand& hand, const Force& server, std::int64_t now_ns) noexcept;
+  /// tool: its state and faults pass through. `stop`: hold the force at zero.
+  [[nodiscard]] Force render(const Hand& hand, const Force& server, bool stop,
+                             std::int64_t now_ns) noexcept;
+
+  /// Returns the FAULT bits that this renderer saw itself, as of the last call of `render`.
+  [[nodiscard]] std::uint32_t faults() const noexcept { return latched_ | ongoing_; }
+  /// Says whether the force is the model's in full.
+  [[nodiscard]] bool whole() const noexcept { return allowed_ && gain_.phase() >= 1.0; }
+  /// The model in force; `arrived_ns` 0: none has come.
+  [[nodiscard]] const ReceivedModel& current() const noexcept { return models_.front(); }
+  /// Returns the energy given to the hand since the engagement began (J).
+  [[nodiscard]] const EnergyObserver& energy() const noexcept { return energy_; }
 
  private:
   static constexpr std::int64_t kRiseNs = 200'000'000;
+  static constexpr std::int64_t kSettleNs = 20'000'000;
 
-  [[nodiscard]] Wrench model_wrench(const Hand& hand, std::int64_t now_ns) noexcept;
+  void heed(const Hand& hand, std::int64_t now_ns) noexcept;
+  [[nodiscard]] Wrench model_wrench(std::int64_t now_ns) noexcept;
   [[nodiscard]] double ceiling(bool allowed, std::int64_t now_ns) noexcept;
 
+  DeviceLimits device_;
+  double max_speed_m_per_s_;
   Snapshot<ReceivedModel> models_;
 
   // The renderer's.
   ModelEvaluator evaluator_;
   SwapBlend blend_;
   RampedGain gain_{kRiseNs};
+  EnergyObserver energy_;
+  Hand hand_;      // rendered: the last good one, frozen while the gain falls
+  Hand previous_;  // the last good one
+  bool has_previous_ = false;
+  std::int64_t good_ns_ = 0, good_since_ns_ = 0;
+  std::uint32_t latched_ = 0, ongoing_ = 0;
+  std::uint64_t last_fallbacks_ = 0;
   bool allowed_ = false;
   double phase_at_fade_ = 0.0;
   std::int64_t fade_since_ns_ = 0;

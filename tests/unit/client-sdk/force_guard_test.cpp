@@ -24,7 +24,7 @@ Force force_of(double newtons) {
 TEST(ForceGuard, ShowsFreshForcesUnchanged) {
   ForceGuard guard(kSilentAfter);
   for (std::int64_t t = 1; t <= 100; ++t) {
-    const Force shown = guard.show(force_of(2.0), t * kMs, t * kMs);
+    const Force shown = guard.show(force_of(2.0), t * kMs, false, t * kMs);
     ASSERT_EQ(shown.force_n[0], 2.0);
     ASSERT_EQ(shown.state, ForceState::kRendering);
   }
@@ -32,7 +32,7 @@ TEST(ForceGuard, ShowsFreshForcesUnchanged) {
 
 TEST(ForceGuard, ShowsNothingBeforeTheFirstForce) {
   ForceGuard guard(kSilentAfter);
-  const Force shown = guard.show(force_of(2.0), 0, 5 * kMs);
+  const Force shown = guard.show(force_of(2.0), 0, false, 5 * kMs);
   EXPECT_EQ(shown.force_n[0], 0.0);
   EXPECT_EQ(shown.state, ForceState::kIdle);
 }
@@ -41,7 +41,7 @@ TEST(ForceGuard, IsAtZeroWithin50MsOfTheLastForceAndNeverSteps) {
   ForceGuard guard(kSilentAfter);
   double last = 2.0;
   for (std::int64_t age = 0; age <= 60; ++age) {
-    const Force shown = guard.show(force_of(2.0), 1000 * kMs, (1000 + age) * kMs);
+    const Force shown = guard.show(force_of(2.0), 1000 * kMs, false, (1000 + age) * kMs);
     EXPECT_LE(std::abs(shown.force_n[0] - last), 1.5 * 2.0 / 30.0 + 1e-12) << age;  // 30 ms of fade
     EXPECT_NEAR(shown.torque_nm[1], 0.1 * shown.force_n[0], 1e-12);
     last = shown.force_n[0];
@@ -56,11 +56,11 @@ TEST(ForceGuard, IsAtZeroWithin50MsOfTheLastForceAndNeverSteps) {
 
 TEST(ForceGuard, ComesBackByARamp) {
   ForceGuard guard(kSilentAfter);
-  static_cast<void>(guard.show(force_of(2.0), 1 * kMs, 1 * kMs));
-  static_cast<void>(guard.show(force_of(2.0), 1 * kMs, 200 * kMs));  // silent
+  static_cast<void>(guard.show(force_of(2.0), 1 * kMs, false, 1 * kMs));
+  static_cast<void>(guard.show(force_of(2.0), 1 * kMs, false, 200 * kMs));  // silent
   double last = 0.0;
   for (std::int64_t t = 201; t <= 260; ++t) {
-    const Force shown = guard.show(force_of(2.0), t * kMs, t * kMs);
+    const Force shown = guard.show(force_of(2.0), t * kMs, false, t * kMs);
     EXPECT_LE(shown.force_n[0] - last, 1.5 * 2.0 / 50.0 + 1e-12);
     EXPECT_GE(shown.force_n[0], last);
     last = shown.force_n[0];
@@ -72,12 +72,12 @@ TEST(ForceGuard, LetsNothingThroughThatIsNotFinite) {
   for (const double bad :
        {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
     ForceGuard guard(kSilentAfter);
-    static_cast<void>(guard.show(force_of(1.0), 1 * kMs, 1 * kMs));
-    Force shown = guard.show(force_of(bad), 2 * kMs, 2 * kMs);
+    static_cast<void>(guard.show(force_of(1.0), 1 * kMs, false, 1 * kMs));
+    Force shown = guard.show(force_of(bad), 2 * kMs, false, 2 * kMs);
     EXPECT_EQ(shown.force_n, Vector3{});
     EXPECT_EQ(shown.torque_nm, Vector3{});
     EXPECT_EQ(shown.state, ForceState::kFault);
-    shown = guard.show(force_of(1.0), 3 * kMs, 3 * kMs);
+    shown = guard.show(force_of(1.0), 3 * kMs, false, 3 * kMs);
     EXPECT_LE(shown.force_n[0], 1.5 * 1.0 / 50.0 + 1e-12);  // and back by the ramp
   }
 }

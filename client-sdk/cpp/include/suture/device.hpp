@@ -22,10 +22,17 @@ enum class Render {
 
 /// Says which tool of which session to hold.
 struct DeviceOptions {
-  std::uint32_t domain = 0;  ///< even, ≤ 230
-  std::string session;       ///< empty: the default session
-  std::string tool;          ///< as in the scene
-  Render render = Render::kServer;
+  std::uint32_t domain = 0;         ///< even, ≤ 230
+  std::string session;              ///< empty: the default session
+  std::string tool;                 ///< as in the scene
+  Render render = Render::kServer;  ///< at the beginning; see Device::set_render
+  /// What the device can do: told to the server, which keeps to the smaller of this and the
+  /// scene's limits, as does the SDK where it renders itself. A model stiffer than the device
+  /// renders stably is softened, in those directions only, by a virtual coupling.
+  DeviceLimits limits;
+  std::string model;  ///< name of the device for people, at most 63 bytes
+  /// Faster than so, in its own frame, no hand moves: beyond it a hand has jumped.
+  double max_speed_m_per_s = 2.0;
   std::chrono::milliseconds timeout{3000};  ///< to find the server
   /// Properties of DDS, such as those of DDS Security (`dds.sec.auth.identity_ca`, …).
   std::vector<std::pair<std::string, std::string>> properties;
@@ -46,6 +53,10 @@ struct DeviceOptions {
 /// Whatever fails on the other side, the force that `read` and `run` hand out stays within
 /// the limits of the tool, goes to zero within 50 ms of the last good one, and comes back
 /// by a ramp.
+///
+/// Hand::stop is the device's emergency stop. The force ends here, at once and by a ramp, with
+/// or without a server; and it is asked of the server with every hand until that has said that
+/// the tool is stopped. From then on it is stopped until a resume command.
 ///
 /// Threads: one at a time, but for `stop`. Hot calls (`write`, `read`, `feel`, `read_after`)
 /// neither throw nor allocate.
@@ -74,6 +85,15 @@ class __attribute__((visibility("default"))) Device {
 
   /// Ends `run` after its present tick. Threads: any; async-signal-safe.
   void stop() noexcept;
+
+  /// Changes who computes the force, while running: the hand feels no step. With
+  /// Render::kDevice the server's forces go on until the first models have come and the SDK's
+  /// own force is whole, at least 200 ms; then, or at once with Render::kServer, what is shown
+  /// goes over within 60 ms and within the tool's slew limit. `renders` says who it is now.
+  /// Not a hot call: it may allocate. Throws Error kPermissionDenied or kNetwork.
+  void set_render(Render render);
+  /// Returns who computes the force that `read` returns.
+  [[nodiscard]] Render renders() const noexcept;
 
   /// Sends where the hand is now, stamped now, and returns its number, counted from 1.
   std::uint64_t write(const Hand& hand) noexcept;

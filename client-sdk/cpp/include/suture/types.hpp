@@ -48,6 +48,14 @@ struct Hand {
                                      std::numeric_limits<double>::quiet_NaN()};
 };
 
+/// What a haptic device can do at its handle. Zero: not known, no limit beside the scene's.
+struct DeviceLimits {
+  double max_force_n = 0.0;
+  double max_torque_nm = 0.0;
+  double max_force_slew_n_per_s = 0.0;
+  double max_stiffness_n_per_m = 0.0;  ///< the stiffest spring that it renders stably
+};
+
 /// What stands behind a force.
 enum class ForceState {
   kIdle,          ///< nothing has begun
@@ -294,6 +302,7 @@ struct ToolStatus {
   double peak_force_n = 0.0;
   double model_age_ms = 0.0;
   Percentiles tick;
+  double energy_to_hand_j = 0.0;  ///< since the engagement began, less what the hand put in
   double max_force_n = 0.0;
   double stale_after_ms = 0.0;
 };
