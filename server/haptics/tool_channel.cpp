@@ -482,7 +482,8 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   last_fallbacks_ = evaluator_.fallbacks();
 
   const double gain = gain_.update(ceiling(now_ns), elapsed_ns);
-  if (latched_ != 0 && gain_.phase() >= 1.0) {
+  // A fade begins at full gain: that is no recovery.
+  if (latched_ != 0 && stage_ == Stage::kRendering && gain_.phase() >= 1.0) {
     latched_ = 0;
     count(counters_.recoveries);
   }

@@ -133,7 +133,9 @@ struct Device::State {
   void connect();
   void tell_profile();
   void listen_to_models();
-  [[nodiscard]] Force shown(const Force& answer, const Hand& from, std::int64_t now_ns) noexcept;
+  [[nodiscard]] Force feel(const Hand& from, std::int64_t taken_ns, std::int64_t now_ns) noexcept;
+  [[nodiscard]] Force shown(const Force& answer, const Hand& from, std::int64_t taken_ns,
+                            std::int64_t now_ns) noexcept;
   [[nodiscard]] Force handed_over(const Force& force, std::int64_t now_ns) noexcept;
   void tell_rendered(const Force& force, std::int64_t now_ns) noexcept;
   void receive() noexcept;         // receive thread
@@ -177,8 +179,9 @@ struct Device::State {
   bool handing_over = false;
   std::int64_t rendered_told_ns = 0;
   v1::ToolRendered rendered{};
-  bool stop_asked = false;  // by a hand, and not yet confirmed by the server
-  Hand hand;
+  bool stop_asked = false;   // by a hand, and not yet confirmed by the server
+  Hand hand;                 // last written
+  std::int64_t hand_ns = 0;  // when
   v1::ToolPose pose{};
   std::atomic<bool> stopping{false};
 
@@ -423,6 +426,7 @@ std::uint64_t Device::write(const Hand& hand) noexcept {
   // Poses may be lost: a stop is asked for until the server says that it holds.
   if (state.stop_asked) pose.flags |= suture_v1_POSE_STOP;
   state.hand = hand;
+  state.hand_ns = monotonic_ns();
   pose.stamp_ns = wall_clock_ns();
   state.writer.write(pose);
   return pose.sequence_number;
@@ -441,24 +445,30 @@ void Device::set_render(Render render) {
 
 Render Device::renders() const noexcept { return state_->shown_by; }
 
-Force Device::read() noexcept { return feel(state_->hand); }
+Force Device::read() noexcept {
+  return state_->feel(state_->hand, state_->hand_ns, monotonic_ns());
+}
 
 Force Device::feel(const Hand& hand) noexcept {
-  State& state = *state_;
-  const Arrival& last = state.arrivals.latest();
   const std::int64_t now_ns = monotonic_ns();
-  if (hand.stop) state.stop_asked = true;
-  if (last.force.state == ForceState::kStopped && !hand.stop) state.stop_asked = false;
-  const Force answer = state.guard.show(last.force, last.at_ns, state.stop_asked, now_ns);
-  const Force force = state.handed_over(state.shown(answer, hand, now_ns), now_ns);
-  if (state.shown_by == Render::kDevice) state.tell_rendered(force, now_ns);
-  state.last = force;
-  state.last_ns = now_ns;
+  return state_->feel(hand, now_ns, now_ns);
+}
+
+Force Device::State::feel(const Hand& from, std::int64_t taken_ns, std::int64_t now_ns) noexcept {
+  const Arrival& newest = arrivals.latest();
+  if (from.stop) stop_asked = true;
+  if (newest.force.state == ForceState::kStopped && !from.stop) stop_asked = false;
+  const Force answer = guard.show(newest.force, newest.at_ns, stop_asked, now_ns);
+  const Force force = handed_over(shown(answer, from, taken_ns, now_ns), now_ns);
+  if (shown_by == Render::kDevice) tell_rendered(force, now_ns);
+  last = force;
+  last_ns = now_ns;
   return force;
 }
 
 // Returns the force of whoever renders now, and changes that where it is time.
-Force Device::State::shown(const Force& answer, const Hand& from, std::int64_t now_ns) noexcept {
+Force Device::State::shown(const Force& answer, const Hand& from, std::int64_t taken_ns,
+                           std::int64_t now_ns) noexcept {
   const auto change_to = [&](Render next, const Force& theirs) {
     shown_by = next;
     handing_over = true;
@@ -466,7 +476,7 @@ Force Device::State::shown(const Force& answer, const Hand& from, std::int64_t n
                   kHandoverNs);
   };
   if (wanted == Render::kServer && shown_by == Render::kServer) return answer;
-  const Force own = renderer->render(from, answer, stop_asked, now_ns);
+  const Force own = renderer->render(from, taken_ns, answer, stop_asked, now_ns);
   if (wanted == Render::kServer) {
     change_to(Render::kServer, answer);
     return answer;

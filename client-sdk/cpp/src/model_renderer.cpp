@@ -143,7 +143,8 @@ void ModelRenderer::receive(const v1::HapticModel& wire, std::int64_t now_ns) no
 }
 
 // Looks at a hand before anything follows it.
-void ModelRenderer::heed(const Hand& hand, std::int64_t now_ns) noexcept {
+void ModelRenderer::heed(const Hand& hand, std::int64_t taken_ns) noexcept {
+  if (taken_ns == 0 || (has_previous_ && taken_ns <= good_ns_)) return;  // none, or seen before
   const Pose pose{hand.position_m, hand.orientation_xyzw};
   std::uint32_t fault = 0;
   switch (pose_fault(pose, hand.jaw)) {
@@ -163,19 +164,20 @@ void ModelRenderer::heed(const Hand& hand, std::int64_t now_ns) noexcept {
   const bool pose_is_good = fault == 0;
   if (pose_is_good && has_previous_ &&
       (hand.in_world != previous_.in_world ||
-       pose_jumps({previous_.position_m, previous_.orientation_xyzw}, pose, now_ns - good_ns_,
+       pose_jumps({previous_.position_m, previous_.orientation_xyzw}, pose, taken_ns - good_ns_,
                   max_speed_m_per_s_))) {
     fault = suture_v1_FAULT_POSE_JUMP;
   }
   if (fault != 0) {
     latched_ |= fault;
-    good_since_ns_ = now_ns;
+    good_since_ns_ = taken_ns;
   }
   // A jump is a good hand in itself: the next ones are measured from there.
   if (!pose_is_good) return;
-  if (!has_previous_) good_since_ns_ = now_ns - kSettleNs;  // the server settles before it allows
+  if (!has_previous_) good_since_ns_ = taken_ns - kSettleNs;  // the server settles before it allows
+  if (has_previous_ && taken_ns - good_ns_ >= kHandZeroNs) good_since_ns_ = taken_ns;  // was gone
   previous_ = hand;
-  good_ns_ = now_ns;
+  good_ns_ = taken_ns;
   has_previous_ = true;
 }
 
@@ -203,22 +205,23 @@ double ModelRenderer::ceiling(bool allowed, std::int64_t now_ns) noexcept {
   const ReceivedModel& current = models_.front();
   const double fresh =
       freshness(now_ns - current.arrived_ns, current.stale_after_ns, current.zero_after_ns);
-  if (allowed) return fresh;
+  if (allowed) return std::min(fresh, freshness(now_ns - good_ns_, kHandStaleNs, kHandZeroNs));
   return std::min(fresh, phase_at_fade_ * freshness(now_ns - fade_since_ns_, 0, current.ramp_ns));
 }
 
-Force ModelRenderer::render(const Hand& hand, const Force& server, bool stop,
+Force ModelRenderer::render(const Hand& hand, std::int64_t taken_ns, const Force& server, bool stop,
                             std::int64_t now_ns) noexcept {
   const std::int64_t elapsed_ns =
       rendered_ns_ == 0 ? 0 : std::clamp<std::int64_t>(now_ns - rendered_ns_, 0, kSlewWindowNs);
   rendered_ns_ = now_ns;
-  heed(hand, now_ns);
-  const bool good_hand = has_previous_ && now_ns - good_since_ns_ >= kSettleNs;
+  heed(hand, taken_ns);
+  const bool good_hand = has_previous_ && good_ns_ - good_since_ns_ >= kSettleNs;
 
   // That the server has fallen silent is for the models' age to judge.
   const auto permitted = [&](const ReceivedModel& model) {
     return model.engaged && !model.stopped && !stop && good_hand &&
            (latched_ & suture_v1_FAULT_ENERGY) == 0 &&
+           (server.faults & suture_v1_FAULT_POSE_STALE) == 0 &&
            (server.state == ForceState::kRendering || server.state == ForceState::kRamping ||
             server.state == ForceState::kServerSilent);
   };
@@ -261,18 +264,22 @@ Force ModelRenderer::render(const Hand& hand, const Force& server, bool stop,
     if (!energy_.update(last_, {hand_.position_m, hand_.orientation_xyzw},
                         scale * recoverable_energy_j(current.model, world), elapsed_ns)) {
       latched_ |= suture_v1_FAULT_ENERGY;
-      good_since_ns_ = now_ns;  // it settles before it begins again
     }
   }
+  // It settles at zero before it begins again.
+  if ((latched_ & suture_v1_FAULT_ENERGY) != 0 && gain_.phase() > 0.0) good_since_ns_ = now_ns;
   ongoing_ = 0;
   if (limited) ongoing_ |= suture_v1_FAULT_FORCE_LIMIT;
   if (slewed) ongoing_ |= suture_v1_FAULT_SLEW_LIMIT;
+  if (now_ns - good_ns_ > kHandStaleNs) ongoing_ |= suture_v1_FAULT_POSE_STALE;
   if (now_ns - current.arrived_ns > current.stale_after_ns) ongoing_ |= suture_v1_FAULT_MODEL_STALE;
   if (evaluator_.fallbacks() != last_fallbacks_) ongoing_ |= suture_v1_FAULT_MODEL_PIVOTS;
   last_fallbacks_ = evaluator_.fallbacks();
 
   force.faults |= faults();
-  if (allowed) {
+  if (allowed && server.state == ForceState::kServerSilent && top < 1.0) {
+    force.state = ForceState::kServerSilent;
+  } else if (allowed) {
     force.state = gain < 1.0 ? ForceState::kRamping : ForceState::kRendering;
   } else if (stop) {
     force.state = ForceState::kStopped;

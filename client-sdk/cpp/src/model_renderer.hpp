@@ -39,7 +39,8 @@ struct ReceivedModel {
 ///
 /// The gain rises from zero within 200 ms. It falls to zero when no newer model came in time,
 /// or when the server holds forces back (a fault, a stop, a pause, a clutch), or for a fault
-/// seen here: a hand that is no pose or jumps, the device's stop, energy that nobody put in.
+/// seen here: a hand that is no pose, jumps or
+/// stays away, the device's stop, energy that nobody put in.
 /// A fault is not left to the server's word, which may be a network away or gone. While the
 /// gain falls the hand's pose is frozen; after a fault it takes 20 ms of good hands to rise.
 ///
@@ -52,10 +53,11 @@ class ModelRenderer {
   /// Takes a model in; one that does not hold together is dropped.
   void receive(const v1::HapticModel& wire, std::int64_t now_ns) noexcept;
 
-  /// Returns the force for `hand` now. `server` is the last word of the server on this
-  /// tool: its state and faults pass through. `stop`: hold the force at zero.
-  [[nodiscard]] Force render(const Hand& hand, const Force& server, bool stop,
-                             std::int64_t now_ns) noexcept;
+  /// Returns the force now for `hand`, which was measured at `taken_ns`. `server` is the last
+  /// word of the server on this tool: its state and faults pass through. `stop`: hold the force
+  /// at zero.
+  [[nodiscard]] Force render(const Hand& hand, std::int64_t taken_ns, const Force& server,
+                             bool stop, std::int64_t now_ns) noexcept;
 
   /// Returns the FAULT bits that this renderer saw itself, as of the last call of `render`.
   [[nodiscard]] std::uint32_t faults() const noexcept { return latched_ | ongoing_; }
@@ -69,8 +71,10 @@ class ModelRenderer {
  private:
   static constexpr std::int64_t kRiseNs = 200'000'000;
   static constexpr std::int64_t kSettleNs = 20'000'000;
+  // A hand of which nothing is heard: as the server does with a pose.
+  static constexpr std::int64_t kHandStaleNs = 15'000'000, kHandZeroNs = 45'000'000;
 
-  void heed(const Hand& hand, std::int64_t now_ns) noexcept;
+  void heed(const Hand& hand, std::int64_t taken_ns) noexcept;
   [[nodiscard]] Wrench model_wrench(std::int64_t now_ns) noexcept;
   [[nodiscard]] double ceiling(bool allowed, std::int64_t now_ns) noexcept;
 

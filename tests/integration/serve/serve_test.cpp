@@ -12,14 +12,13 @@
 #include <cstdio>
 #include <deque>
 #include <fstream>
-#include <iomanip>
 #include <limits>
 #include <mutex>
 #include <set>
 #include <vector>
 
 #include "integration/serve/raw_device.hpp"
-#include "support/block_mesh.hpp"
+#include "support/pressed_block.hpp"
 #include "support/process.hpp"
 #include "support/temporary_folder.hpp"
 #include "support/test_session.hpp"
@@ -39,42 +38,10 @@ constexpr std::int64_t kMs = 1'000'000;
 constexpr std::int64_t kPromise_ns = 50 * kMs;
 constexpr double kMaxForce_n = 0.5;
 constexpr double kMaxSlew_n_per_s = 40.0;
-constexpr double kSurface_m = 0.01, kProbeRadius_m = 0.002;
-constexpr double kTouching_m = kSurface_m + kProbeRadius_m - 0.001;  // a millimetre deep
+constexpr double kSurface_m = testing::PressedBlock::kSurface_m;
+constexpr double kTouching_m = testing::PressedBlock::height_m(0.001);  // a millimetre deep
 
 double norm(const double (&v)[3]) { return std::hypot(v[0], v[1], v[2]); }
-
-/// A block of soft tissue, held at its bottom, and a probe above it. Its slew limit is
-/// low enough to be seen.
-std::string write_scene(const testing::TemporaryFolder& folder) {
-  const geometry::TetMesh mesh = testing::block_mesh(4, 4, 3, {0.02, 0.02, kSurface_m});
-  std::ofstream vtk(folder.path("block.vtk"));
-  vtk << std::setprecision(17) << "# vtk DataFile Version 3.0\nblock\nASCII\nDATASET "
-      << "UNSTRUCTURED_GRID\nPOINTS " << mesh.vertices_m.size() << " double\n";
-  for (const auto& v : mesh.vertices_m) vtk << v.x() << ' ' << v.y() << ' ' << v.z() << '\n';
-  vtk << "CELLS " << mesh.tets.size() << ' ' << 5 * mesh.tets.size() << '\n';
-  for (const auto& t : mesh.tets)
-    vtk << "4 " << t[0] << ' ' << t[1] << ' ' << t[2] << ' ' << t[3] << '\n';
-  vtk << "CELL_TYPES " << mesh.tets.size() << '\n';
-  for (std::size_t i = 0; i < mesh.tets.size(); ++i) vtk << "10\n";
-  vtk.close();
-  return folder.write("scene.toml", R"(
-name = "block"
-rate_hz = 250
-[[tissue]]
-name = "block"
-mesh = "block.vtk"
-young_modulus_pa = 2.0e4
-poisson_ratio = 0.4
-fixed = [{ box = { min_m = [-1, -1, -1], max_m = [1, 1, 1e-6] } }]
-[[tool]]
-name = "probe"
-kind = "probe"
-probe_radius_m = 0.002
-max_force_n = 0.5
-max_force_slew_n_per_s = 40
-)");
-}
 
 /// All forces of the session, whoever they are for.
 class ForceWatcher {
@@ -207,7 +174,9 @@ class Serve : public ::testing::Test {
 
   suture::ParticipantOptions session_ = testing::own_session();
   testing::TemporaryFolder folder_;
-  std::string scene_ = write_scene(folder_);
+  std::string scene_ =
+      testing::PressedBlock{.max_force_n = kMaxForce_n, .max_force_slew_n_per_s = kMaxSlew_n_per_s}
+          .write(folder_);
   suture::Participant participant_{session_, suture::Channel::kControl};
   ForceWatcher watcher_{participant_};
   suture::Reader<suture::v1::Event> event_reader_{participant_};
@@ -331,7 +300,7 @@ TEST_F(Serve, TellsASecondDeviceThatTheToolIsInUse) {
 }
 
 // What the SDK hands to the hand while its server is stopped, or dies and comes again.
-class ServeHand : public Serve {
+class ServeHand : public Serve, public ::testing::WithParamInterface<suture::Render> {
  protected:
   struct Felt {
     std::int64_t time_ns;
@@ -347,6 +316,7 @@ class ServeHand : public Serve {
     options.tool = "probe";
     options.timeout = std::chrono::seconds(20);
     options.give_up_after = {};
+    options.render = GetParam();
     device_.emplace(options);
     hand_ = std::thread([this] {
       device_->run([this](const suture::Force& force, std::chrono::nanoseconds) {
@@ -401,7 +371,7 @@ class ServeHand : public Serve {
   std::vector<Felt> felt_;
 };
 
-TEST_F(ServeHand, IsSafeWhileTheServerStalls) {
+TEST_P(ServeHand, IsSafeWhileTheServerStalls) {
   start_server();
   start_hand();
   ASSERT_TRUE(await_hand(true));
@@ -418,7 +388,7 @@ TEST_F(ServeHand, IsSafeWhileTheServerStalls) {
   expect_within_limits(watcher_.all());
 }
 
-TEST_F(ServeHand, IsSafeWhenTheServerIsKilledAndFeelsTheNextOne) {
+TEST_P(ServeHand, IsSafeWhenTheServerIsKilledAndFeelsTheNextOne) {
   start_server();
   start_hand();
   ASSERT_TRUE(await_hand(true));
@@ -427,6 +397,77 @@ TEST_F(ServeHand, IsSafeWhenTheServerIsKilledAndFeelsTheNextOne) {
   start_server();
   ASSERT_TRUE(await_hand(true));
   expect_safe();
+}
+
+TEST_P(ServeHand, ObeysAStopCommandUntilAResume) {
+  start_server();
+  start_hand();
+  ASSERT_TRUE(await_hand(true));
+  suture::SessionOptions options;
+  options.domain = session_.domain;
+  options.session = session_.session;
+  options.timeout = std::chrono::seconds(20);
+  suture::Session session(options);
+  session.command(suture::CommandKind::kStop);
+  ASSERT_TRUE(await_hand(false));
+  {
+    const std::lock_guard lock(mutex_);
+    EXPECT_EQ(felt_.back().state, suture::ForceState::kStopped);
+  }
+  EXPECT_TRUE(eventually([&] { return session.status().state == "stopped"; }));
+  session.command(suture::CommandKind::kResume);
+  ASSERT_TRUE(await_hand(true));
+}
+
+TEST_P(ServeHand, IsReportedAsWhatTheHandFelt) {
+  start_server();
+  start_hand();
+  ASSERT_TRUE(await_hand(true));
+  suture::SessionOptions options;
+  options.domain = session_.domain;
+  options.session = session_.session;
+  options.timeout = std::chrono::seconds(20);
+  suture::Session session(options);
+  EXPECT_TRUE(eventually([&] {
+    const auto status = session.next_status(std::chrono::seconds(20));
+    double felt_n = 0.0;
+    {
+      const std::lock_guard lock(mutex_);
+      felt_n = felt_.back().force_n;
+    }
+    const suture::ToolStatus& tool = status->tools[0];
+    return tool.renders_itself == (GetParam() == suture::Render::kDevice) &&
+           std::abs(tool.force_n - felt_n) < 1e-6 && tool.faults == 0;
+  }));
+}
+
+INSTANTIATE_TEST_SUITE_P(Renderers, ServeHand,
+                         ::testing::Values(suture::Render::kServer, suture::Render::kDevice),
+                         [](const auto& render) {
+                           return render.param == suture::Render::kServer ? "Server" : "Device";
+                         });
+
+TEST_F(Serve, KeepsToTheLimitsOfADevice) {
+  start_server();
+  suture::DeviceOptions options;
+  options.domain = session_.domain;
+  options.session = session_.session;
+  options.tool = "probe";
+  options.timeout = std::chrono::seconds(20);
+  options.limits.max_force_n = 0.015;
+  suture::Device device(options);
+  suture::Hand hand;
+  hand.position_m = {0.011, 0.009, kTouching_m};
+  suture::Force felt;
+  device.run(
+      [&](const suture::Force& force, std::chrono::nanoseconds) -> std::optional<suture::Hand> {
+        felt = force;
+        const bool there = (force.faults & suture_v1_FAULT_FORCE_LIMIT) != 0 &&
+                           force.state == suture::ForceState::kRendering;
+        return there ? std::nullopt : std::optional(hand);
+      });
+  EXPECT_NEAR(std::hypot(felt.force_n[0], felt.force_n[1], felt.force_n[2]), 0.015, 1e-12);
+  EXPECT_GT(device.statistics().forces_received, 0U);
 }
 
 TEST_F(Serve, ShowsStressOfThePressedTissue) {

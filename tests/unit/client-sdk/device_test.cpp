@@ -323,5 +323,140 @@ TEST(Connecting, RefusesAnOddDomain) {
   EXPECT_EQ(error_of(options).code(), ErrorCode::kBadInput);
 }
 
+/// A spring of 150 N/m to the origin, where the server's own forces are of one of 100 N/m.
+v1::HapticModel stiffer_spring(const Guid& device, std::uint64_t sequence) {
+  v1::HapticModel wire{};
+  set_text(wire.tool, "driver");
+  set_guid(wire.device, device);
+  wire.epoch = 1;
+  wire.sequence_number = sequence;
+  wire.flags = suture_v1_MODEL_TOUCHING | suture_v1_MODEL_ENGAGED;
+  wire.reference_orientation_xyzw[3] = 1.0;
+  for (int i = 0; i < 3; ++i) wire.stiffness[7 * i] = wire.bilateral_stiffness[7 * i] = 150.0;
+  wire.radius_m = std::numeric_limits<double>::infinity();
+  wire.norm_length_m = 0.01;
+  wire.max_force_n = 3.0;
+  wire.max_torque_nm = 0.1;
+  wire.max_force_slew_n_per_s = 200.0;
+  wire.max_torque_slew_nm_per_s = 15.0;
+  wire.stale_after_ns = 38'000'000;
+  wire.blend_ns = 4'000'000;
+  wire.ramp_ns = 30'000'000;
+  wire.mapping.orientation_xyzw[3] = wire.mapping.tool_orientation_xyzw[3] = 1.0;
+  wire.mapping.motion_scale = wire.mapping.force_scale = 1.0;
+  return wire;
+}
+
+TEST(Device, ChangesItsRendererInBothDirectionsWithoutAStep) {
+  SpringServer server(server_options());
+  const Participant participant(own_session(), Channel::kControl);
+  Writer<v1::HapticModel> models(participant);
+  Reader<v1::ToolRendered> rendered(participant);
+  Device device(device_options());
+  Hand hand;
+  hand.position_m = {0.01, 0.0, 0.0};
+  hand.in_world = true;
+  double last_n = 0.0, force_n = 0.0, steepest_n_per_s = 0.0;
+  std::int64_t last_ns = 0;
+  std::uint64_t sequence = 0;
+  // A tick; every fourth brings a model.
+  const auto tick = [&] {
+    std::this_thread::sleep_for(milliseconds(1));
+    const std::uint64_t written = device.write(hand);
+    if (written % 4 == 0) models.write(stiffer_spring(server.last_sender(), ++sequence));
+    const Force force = device.read();
+    const std::int64_t now_ns = monotonic_ns();
+    force_n = -force.force_n[0];
+    if (force.sequence == 0) return;
+    // Until the end of this call since the beginning of the last: at least what the SDK saw.
+    if (last_ns != 0)
+      steepest_n_per_s = std::max(steepest_n_per_s, std::abs(force_n - last_n) * 1e9 /
+                                                        static_cast<double>(now_ns - last_ns));
+    last_n = force_n;
+    last_ns = now_ns;
+  };
+  const auto play_until = [&](double newtons, Render render) {
+    return eventually([&] {
+      tick();
+      return std::abs(force_n - newtons) < 1e-9 && device.renders() == render;
+    });
+  };
+  ASSERT_TRUE(play_until(1.0, Render::kServer));
+  for (int round = 0; round < 2; ++round) {
+    steepest_n_per_s = 0.0;
+    device.set_render(Render::kDevice);
+    ASSERT_TRUE(play_until(1.5, Render::kDevice))
+        << force_n << ' ' << fault_names(device.read().faults) << name_of(device.read().state)
+        << (device.renders() == Render::kDevice) << models.matched();
+    // Half a newton within 60 ms by a smoothstep: 1.5 times the mean.
+    EXPECT_LE(steepest_n_per_s, 1.5 * 0.5 / 0.060 * 1.05);
+    EXPECT_GT(steepest_n_per_s, 0.0);
+    EXPECT_EQ(server.last_pose().flags & suture_v1_POSE_RENDER_DEVICE,
+              std::uint32_t{suture_v1_POSE_RENDER_DEVICE});
+    bool told = false;
+    EXPECT_TRUE(eventually([&] {
+      tick();
+      rendered.take_each([&](const v1::ToolRendered& wire, const SampleInfo& info) {
+        told |= info.valid && wire.tool_id == tool_id("driver") && wire.model_sequence > 0 &&
+                std::abs(wire.force_n[0] + 1.5) < 1e-9;
+      });
+      return told;
+    }));
+    steepest_n_per_s = 0.0;
+    device.set_render(Render::kServer);
+    ASSERT_TRUE(play_until(1.0, Render::kServer));
+    EXPECT_LE(steepest_n_per_s, 1.5 * 0.5 / 0.060 * 1.05);
+    tick();
+    EXPECT_TRUE(
+        eventually([&] { return (server.last_pose().flags & suture_v1_POSE_RENDER_DEVICE) == 0; }));
+  }
+}
+
+TEST(Device, StopsByItselfAndAsksUntilTheServerSaysSo) {
+  SpringServer server(server_options());
+  Device device(device_options());
+  Hand hand;
+  hand.position_m = {0.01, 0.0, 0.0};
+  ASSERT_TRUE(device.read_after(device.write(hand), std::chrono::seconds(10)));
+  server.set_silent(true);  // it hears, and says nothing
+  hand.stop = true;
+  device.write(hand);
+  hand.stop = false;  // a short press
+  EXPECT_TRUE(eventually([&] {
+    device.write(hand);
+    const Force force = device.read();
+    return force.state == ForceState::kStopped && force.force_n[0] == 0.0;
+  }));
+  server.set_silent(false);  // and this one never stops: a stop is still a stop
+  const std::uint64_t sequence = device.write(hand);
+  const std::optional<Force> force = device.read_after(sequence, std::chrono::seconds(10));
+  ASSERT_TRUE(force);
+  EXPECT_EQ(force->force_n[0], 0.0);
+  EXPECT_EQ(force->state, ForceState::kStopped);
+  EXPECT_NE(server.last_pose().flags & suture_v1_POSE_STOP, 0U);
+}
+
+TEST(Device, TellsWhatItCanDo) {
+  SpringServer server(server_options());
+  const Participant participant(own_session(), Channel::kControl);
+  Reader<v1::DeviceProfile> profiles(participant);
+  DeviceOptions options = device_options();
+  options.model = "spring board";
+  options.limits = {
+      .max_force_n = 2.0, .max_force_slew_n_per_s = 90.0, .max_stiffness_n_per_m = 800.0};
+  Device device(options);
+  device.write({});
+  bool told = false;
+  EXPECT_TRUE(eventually([&] {
+    profiles.take_each([&](const v1::DeviceProfile& profile, const SampleInfo& info) {
+      told |= info.valid && text_of(profile.tool) == "driver" && profile.max_force_n == 2.0 &&
+              profile.max_force_slew_n_per_s == 90.0 && profile.max_stiffness_n_per_m == 800.0 &&
+              text_of(profile.model) == "spring board" &&
+              guid_of(profile.device) == server.last_sender();
+    });
+    return told;
+  }));
+}
+
 }  // namespace
 }  // namespace suture

@@ -60,9 +60,13 @@ class ModelRendererTest : public ::testing::Test {
     Force force;
     for (int i = 0; i < 300; ++i) {
       renderer_.receive(wire_, now_ns_ += kMs);
-      force = renderer_.render(hand, rendering(), false, now_ns_);
+      force = render(hand, rendering(), now_ns_);
     }
     return force;
+  }
+
+  Force render(const Hand& hand, const Force& server, std::int64_t now_ns) {
+    return renderer_.render(hand, now_ns, server, false, now_ns);
   }
 
   ModelRenderer renderer_{DeviceLimits{}, 2.0};
@@ -81,7 +85,7 @@ TEST_F(ModelRendererTest, RisesByARampFromZero) {
   double last = 0.0;
   for (int i = 0; i < 250; ++i) {
     renderer_.receive(wire_, now_ns_ += kMs);
-    const double now = -renderer_.render(hand_at(0.01), rendering(), false, now_ns_).force_n[0];
+    const double now = -render(hand_at(0.01), rendering(), now_ns_).force_n[0];
     EXPECT_GE(now, last - 1e-12);
     EXPECT_LE(now - last, 1.5 / 200.0 + 1e-9);  // smoothstep over 200 ms
     last = now;
@@ -104,17 +108,16 @@ TEST_F(ModelRendererTest, BlendsFromOneModelToTheNext) {
   settle(hand_at(0.01));
   const v1::HapticModel next = spring(120.0, 2);
   renderer_.receive(next, now_ns_);
-  const double at_once = -renderer_.render(hand_at(0.01), rendering(), false, now_ns_).force_n[0];
+  const double at_once = -render(hand_at(0.01), rendering(), now_ns_).force_n[0];
   EXPECT_NEAR(at_once, 1.0, 1e-12);  // no step at the swap
-  const double later =
-      -renderer_.render(hand_at(0.01), rendering(), false, now_ns_ + 4 * kMs).force_n[0];
+  const double later = -render(hand_at(0.01), rendering(), now_ns_ + 4 * kMs).force_n[0];
   EXPECT_NEAR(later, 1.2, 1e-12);
 }
 
 TEST_F(ModelRendererTest, GoesToZeroWhenModelsStopAndNeverSteps) {
   double last = -settle(hand_at(0.01)).force_n[0];
   for (int age = 1; age <= 140; ++age) {
-    const Force force = renderer_.render(hand_at(0.01), rendering(), false, now_ns_ + age * kMs);
+    const Force force = render(hand_at(0.01), rendering(), now_ns_ + age * kMs);
     EXPECT_LE(std::abs(-force.force_n[0] - last), 1.5 / 25.0 + 1e-9) << age;  // 20 to 45 ms
     last = -force.force_n[0];
     if (age >= 45) {
@@ -131,7 +134,7 @@ TEST_F(ModelRendererTest, ObeysTheServersStop) {
   Force force;
   for (int i = 1; i <= 31; ++i) {
     renderer_.receive(wire_, now_ns_ += kMs);
-    force = renderer_.render(hand_at(0.01), stopped, false, now_ns_);
+    force = render(hand_at(0.01), stopped, now_ns_);
     EXPECT_LE(last + force.force_n[0], 1.5 / 30.0 + 1e-9);
     last = -force.force_n[0];
   }
@@ -148,7 +151,7 @@ TEST_F(ModelRendererTest, StaysWithinTheToolsLimits) {
   for (int i = 0; i < 100; ++i) {  // wildly to and fro
     now_ns_ += kMs;
     renderer_.receive(wire_, now_ns_);
-    force = renderer_.render(hand_at(i % 2 == 0 ? -0.004 : 0.004), rendering(), false, now_ns_);
+    force = render(hand_at(i % 2 == 0 ? -0.004 : 0.004), rendering(), now_ns_);
     EXPECT_LE(std::abs(force.force_n[0] - last[0]), 0.5 + 1e-9);  // 500 N/s
     EXPECT_LE(std::abs(force.force_n[0]), 3.0 + 1e-9);
     last = force.force_n;
@@ -178,9 +181,161 @@ TEST_F(ModelRendererTest, LetsNothingThroughThatIsNotFinite) {
   bad.wrench[0] = bad.bilateral_wrench[0] = std::nan("");
   renderer_.receive(bad, now_ns_ += kMs);
   for (int i = 0; i < 10; ++i) {
-    const Force force = renderer_.render(hand_at(0.01), rendering(), false, now_ns_ += kMs);
+    const Force force = render(hand_at(0.01), rendering(), now_ns_ += kMs);
     for (const double f : force.force_n) EXPECT_TRUE(std::isfinite(f));
   }
+}
+
+// The server goes on saying that all is well: it may be a network away, or gone.
+struct BadHand {
+  const char* name;
+  std::uint32_t fault;
+  void (*spoil)(Hand&, int tick);
+};
+
+class RendererBadHand : public ModelRendererTest, public ::testing::WithParamInterface<BadHand> {};
+
+TEST_P(RendererBadHand, EndsTheForceHereSmoothlyAndGivesItBack) {
+  double last = -settle(hand_at(0.01)).force_n[0];
+  for (int i = 1; i <= 60; ++i) {
+    Hand hand = hand_at(0.01);
+    GetParam().spoil(hand, i);
+    renderer_.receive(wire_, now_ns_ += kMs);
+    const Force force = render(hand, rendering(), now_ns_);
+    EXPECT_LE(std::abs(last + force.force_n[0]), 1.5 / 30.0 + 1e-9) << i;
+    EXPECT_EQ(force.state, ForceState::kFault);
+    EXPECT_NE(force.faults & GetParam().fault, 0U);
+    last = -force.force_n[0];
+    if (i > 31) {
+      EXPECT_EQ(last, 0.0) << i;
+    }
+  }
+  for (int i = 0; i < 250; ++i) {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    const double now = -render(hand_at(0.01), rendering(), now_ns_).force_n[0];
+    EXPECT_LE(now - last, 1.5 / 200.0 + 1e-9);
+    if (i < 19) {
+      EXPECT_EQ(now, 0.0) << "20 ms of good hands come first";
+    }
+    last = now;
+  }
+  EXPECT_NEAR(last, 1.0, 1e-9);
+  EXPECT_EQ(renderer_.faults(), 0U);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Faults, RendererBadHand,
+    ::testing::Values(
+        BadHand{"NotANumber", suture_v1_FAULT_POSE_NOT_FINITE,
+                [](Hand& hand, int) { hand.position_m[1] = std::nan(""); }},
+        BadHand{"WrongQuaternion", suture_v1_FAULT_POSE_QUATERNION,
+                [](Hand& hand, int) { hand.orientation_xyzw[3] = 0.5; }},
+        BadHand{"Jaw", suture_v1_FAULT_POSE_JAW, [](Hand& hand, int) { hand.jaw = 2.0; }},
+        BadHand{"Jumps", suture_v1_FAULT_POSE_JUMP,
+                [](Hand& hand, int tick) { hand.position_m[0] += tick % 2 == 0 ? 0.0 : 0.1; }},
+        BadHand{"ChangesItsFrame", suture_v1_FAULT_POSE_JUMP,
+                [](Hand& hand, int tick) { hand.in_world = tick % 2 == 0; }}),
+    [](const auto& fault) { return std::string(fault.param.name); });
+
+TEST_F(ModelRendererTest, EndsTheForceOfAHandThatIsNotHeardOf) {
+  settle(hand_at(0.01));
+  const std::int64_t taken_ns = now_ns_;
+  for (int age = 1; age <= 60; ++age) {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    const Force force = renderer_.render(hand_at(0.01), taken_ns, rendering(), false, now_ns_);
+    if (age <= 15) {
+      EXPECT_NEAR(force.force_n[0], -1.0, 1e-12);
+    }
+    if (age >= 45) {
+      EXPECT_EQ(force.force_n[0], 0.0) << age;
+      EXPECT_NE(force.faults & suture_v1_FAULT_POSE_STALE, 0U);
+    }
+  }
+}
+
+TEST_F(ModelRendererTest, StopsForTheDeviceWithoutTheServersWord) {
+  double last = -settle(hand_at(0.01)).force_n[0];
+  for (int i = 1; i <= 60; ++i) {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    const Force force = renderer_.render(hand_at(0.01), now_ns_, rendering(), true, now_ns_);
+    EXPECT_LE(std::abs(last + force.force_n[0]), 1.5 / 30.0 + 1e-9);
+    EXPECT_EQ(force.state, ForceState::kStopped);
+    last = -force.force_n[0];
+  }
+  EXPECT_EQ(last, 0.0);
+}
+
+TEST_F(ModelRendererTest, FollowsAHandAtFourKilohertzWithoutAStepAtAnyModel) {
+  settle(hand_at(0.01));
+  double last = 1.0;
+  for (int i = 1; i <= 4000; ++i) {  // a second: 5 mm to and fro at 2 Hz, a model every 4 ms
+    now_ns_ += kMs / 4;
+    const double t = 1e-9 * static_cast<double>(i * kMs / 4);
+    const double x = 0.01 + 0.005 * std::sin(4.0 * M_PI * t);
+    if (i % 16 == 0) {
+      ++wire_.sequence_number;
+      wire_.reference_position_m[0] = x;
+      wire_.bilateral_wrench[0] = -100.0 * x;
+      renderer_.receive(wire_, now_ns_);
+    }
+    const double now = -render(hand_at(x), rendering(), now_ns_).force_n[0];
+    ASSERT_NEAR(now, 100.0 * x, 1e-9) << i;  // the same spring all the time: no lag, no blend
+    ASSERT_LE(std::abs(now - last), 100.0 * 0.005 * 4.0 * M_PI * 0.25e-3 + 1e-9);
+    last = now;
+  }
+  EXPECT_EQ(renderer_.faults(), 0U);
+}
+
+TEST_F(ModelRendererTest, SoftensWhatTheDeviceCannotRender) {
+  ModelRenderer weak({.max_stiffness_n_per_m = 500.0}, 2.0);
+  wire_ = spring(4000.0);
+  Force force;
+  for (int i = 0; i < 300; ++i) {
+    weak.receive(wire_, now_ns_ += kMs);
+    force = weak.render(hand_at(0.001), now_ns_, rendering(), false, now_ns_);
+  }
+  EXPECT_NEAR(force.force_n[0], -0.5, 1e-9);
+  EXPECT_NEAR(settle(hand_at(0.0005)).force_n[0], -2.0, 1e-9) << "another device feels all of it";
+}
+
+TEST_F(ModelRendererTest, KeepsToTheDevicesLimits) {
+  ModelRenderer weak({.max_force_n = 0.25, .max_force_slew_n_per_s = 50.0}, 2.0);
+  double last = 0.0;
+  for (int i = 0; i < 300; ++i) {
+    weak.receive(wire_, now_ns_ += kMs);
+    const Force force = weak.render(hand_at(0.01), now_ns_, rendering(), false, now_ns_);
+    EXPECT_LE(std::abs(-force.force_n[0] - last), 0.05 + 1e-12);
+    last = -force.force_n[0];
+  }
+  EXPECT_NEAR(last, 0.25, 1e-9);
+}
+
+// A spring that turns what pushes it: no tissue does that.
+TEST_F(ModelRendererTest, EndsAForceThatGivesMoreEnergyThanItTook) {
+  constexpr double kSkew = 200.0;
+  wire_.bilateral_stiffness[1] = wire_.stiffness[1] = kSkew;
+  wire_.bilateral_stiffness[6] = wire_.stiffness[6] = -kSkew;
+  settle(hand_at(0.005));
+  bool found = false;
+  double last = 0.0, given_j = 0.0;
+  for (int i = 0; i < 3000 && !found; ++i) {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    Hand hand = hand_at(0.005);
+    hand.position_m = {0.005 * std::cos(0.01 * i), 0.005 * std::sin(0.01 * i), 0.0};
+    static_cast<void>(render(hand, rendering(), now_ns_));
+    given_j = renderer_.energy().given_j();
+    found = (renderer_.faults() & suture_v1_FAULT_ENERGY) != 0;
+  }
+  ASSERT_TRUE(found);
+  // What a loop gives is 2 π r² × skew = 31 mJ; stored are 1.25 mJ.
+  EXPECT_LT(given_j, 2 * 1.3e-3 + 3 * EnergyBound{}.energy_j);
+  for (int i = 0; i < 40; ++i) {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    last = render(hand_at(0.005), rendering(), now_ns_).force_n[0];
+  }
+  EXPECT_EQ(last, 0.0);
+  settle(hand_at(0.005));
+  EXPECT_EQ(renderer_.faults(), 0U) << "a hand at rest gets it back";
 }
 
 TEST_F(ModelRendererTest, AllocatesNothing) {

@@ -611,6 +611,89 @@ TEST(ToolChannel, IsSafeWhenItsOwnThreadsStall) {
   rig.expect_recovery();
 }
 
+TEST(ToolChannel, LatchesASingleFaultUntilTheForceIsWholeAgain) {
+  Rig rig;
+  rig.engage();
+  rig.spoil = [](PoseSample& p) { p.jaw = 2.0; };
+  rig.run(1);
+  rig.spoil = nullptr;
+  rig.run(100);
+  EXPECT_NE(rig.last.faults & fault_bit(Fault::kPoseJaw), 0U);
+  EXPECT_EQ(rig.channel().counters().recoveries.load(), 0U);
+  rig.expect_recovery();
+  EXPECT_EQ(rig.channel().counters().recoveries.load(), 1U);
+}
+
+// A world that pushes along with the hand, by its models alone: each of them is a spring.
+TEST(ToolChannel, EndsAForceThatGivesMoreEnergyThanItTook) {
+  Rig rig;
+  rig.engage();
+  rig.largest_step_n = 0.0;
+  double before_m = rig.hand.position_m[0];
+  int ticks = 0;
+  while (rig.faults(Fault::kEnergy) == 0 && ticks < 20'000) {
+    rig.hand.position_m[0] = -0.005 + 0.004 * std::sin(0.02 * ticks++);
+    const double v_m_per_s = (rig.hand.position_m[0] - before_m) * 1e3;
+    before_m = rig.hand.position_m[0];
+    rig.wrench_offset_n = 12.0 * v_m_per_s;
+    rig.run(1);
+  }
+  ASSERT_EQ(rig.faults(Fault::kEnergy), 1U);
+  EXPECT_GT(rig.channel().report().energy_debt_peak_j, suture::EnergyBound{}.energy_j);
+  const std::int64_t since = rig.now;
+  rig.run(48);  // then it begins to come back
+  rig.expect_zero_since(since);
+  EXPECT_NE(rig.last.faults & fault_bit(Fault::kEnergy), 0U);
+  rig.wrench_offset_n = 0.0;
+  rig.run(400);
+  EXPECT_EQ(rig.last.state, ToolState::kRendering);
+  EXPECT_EQ(rig.last.faults, 0U);
+}
+
+TEST(ToolChannel, LeavesTheEnergyOfADeviceThatRendersItselfToTheDevice) {
+  Rig rig;
+  rig.spoil = [](PoseSample& p) { p.renders_itself = true; };
+  rig.engage();
+  EXPECT_TRUE(rig.last.renders_itself);
+  RenderedSample shown;
+  shown.wrench.force_n[0] = 0.4;
+  shown.faults = fault_bit(Fault::kSlewLimit) | fault_bit(Fault::kPoseJump);
+  rig.channel().on_rendered(shown, rig.now);
+  rig.run(2);
+  const ToolReport& report = rig.channel().report();
+  EXPECT_TRUE(report.renders_itself);
+  EXPECT_EQ(report.shown_force_n, 0.4);
+  EXPECT_NE(report.faults & fault_bit(Fault::kSlewLimit), 0U);
+  EXPECT_EQ(rig.faults(Fault::kSlewLimit), 1U);
+  EXPECT_EQ(rig.faults(Fault::kPoseJump), 0U) << "those the server counts itself";
+  rig.channel().on_rendered(shown, rig.now);
+  EXPECT_EQ(rig.faults(Fault::kSlewLimit), 1U) << "it lasts";
+  rig.run(150);  // it says nothing any more
+  EXPECT_NEAR(rig.channel().report().shown_force_n, 0.5, 1e-9);
+}
+
+TEST(ToolChannel, KeepsToTheSmallerOfSceneAndDevice) {
+  Rig rig;
+  const suture::ForceLimits scene = rig.channel().limits();
+  DeviceLimits device;
+  device.force.max_force_n = 100.0;
+  device.force.max_force_slew_n_per_s = 10.0;
+  rig.channel().set_device_limits(device);
+  EXPECT_EQ(rig.channel().limits().max_force_slew_n_per_s, 10.0);
+  // What a slew of 10 N/s can end in time.
+  EXPECT_LT(rig.channel().limits().max_force_n, 0.3);
+  rig.channel().set_device_limits({});
+  EXPECT_EQ(rig.channel().limits().max_force_n, scene.max_force_n);
+  device = {};
+  device.max_stiffness_n_per_m = 40.0;  // the wall has 100
+  rig.channel().set_device_limits(device);
+  rig.run(300);
+  EXPECT_NEAR(rig.force_n(), 40.0 * 0.005, 1e-9);
+  rig.channel().set_device_limits({});
+  rig.run(50);
+  EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
+}
+
 TEST(ToolChannel, AllocatesNothing) {
   if (!testing::HeapGuard::active()) GTEST_SKIP() << "a sanitizer owns malloc here";
   Rig rig;
