@@ -86,6 +86,15 @@ bench: deps-test ## Measure the budgets: a table, and build/bench/results.json
 	@$(BIN)/tests/bench/sutured_bench --out build/bench/results.json \
 	  --commit "$$(git describe --always --dirty 2>/dev/null || echo unknown)"
 
+.PHONY: faults
+faults: deps-test ## Inject every fault into servers and devices over DDS: docs/results/faults.md
+	@cmake --preset release -DSUTURED_TESTS=ON -DSUTURED_BENCH=OFF >/dev/null
+	@cmake --build --preset release --target sutured_faults
+	@mkdir -p out/faults
+	@$(BIN)/tests/faults/sutured_faults --table docs/results/faults.md --curves out/faults/faults.csv \
+	  --commit "$$(git describe --always --dirty 2>/dev/null || echo unknown)"; result=$$?; \
+	/usr/bin/python3 tests/faults/plot.py out/faults/faults.csv docs/results/faults.png && exit $$result
+
 .PHONY: format
 format: deps-check ## Rewrite the sources in the house style
 	@git ls-files '*.cpp' '*.hpp' | xargs -r clang-format -i

@@ -62,13 +62,14 @@ Session& Session::operator=(Session&&) noexcept = default;
 std::optional<Status> Session::next_status(std::chrono::nanoseconds timeout) {
   const Clock::time_point end = Clock::now() + timeout;
   std::optional<Status> next;
-  while (!next) {
-    const auto left = end - Clock::now();
-    if (left.count() < 0) return std::nullopt;
-    state_->status_waitset.wait(left);
+  for (;;) {
     state_->status_reader.take_each([&](const v1::ServerStatus& wire, const SampleInfo& info) {
       if (info.valid) next = to_status(wire);
     });
+    if (next) break;
+    const auto left = end - Clock::now();
+    if (left.count() <= 0) return std::nullopt;
+    state_->status_waitset.wait(left);
   }
   state_->last = next;
   return next;
