@@ -360,6 +360,10 @@ class Player {
     options.timeout = session.timeout;
     options.tool = track.tool;
     options.render = renders_itself_ ? Render::kDevice : Render::kServer;
+    options.model = "suture device";
+    options.limits = {.max_force_n = arguments.max_force_n,
+                      .max_force_slew_n_per_s = arguments.max_slew_n_per_s,
+                      .max_stiffness_n_per_m = arguments.max_stiffness_n_per_m};
     options.on_force = [this](const Force& force) {
       if (renders_itself_) return;  // logged where it is rendered
       if (const std::optional<double> time_s = sent_.time_of(force.hand_sequence)) {

@@ -81,6 +81,16 @@ int run(int argc, char** argv) {
   device_command->add_option("--rate", device.rate_hz, "poses a second")
       ->check(CLI::Range(1.0, 4000.0))
       ->capture_default_str();
+  device_command
+      ->add_option("--max-force", device.max_force_n,
+                   "N that the device can show; the scene's limit holds beside it")
+      ->check(CLI::PositiveNumber);
+  device_command->add_option("--max-slew", device.max_slew_n_per_s, "N/s, likewise")
+      ->check(CLI::PositiveNumber);
+  device_command
+      ->add_option("--max-stiffness", device.max_stiffness_n_per_m,
+                   "N/m that the device renders stably; stiffer things are softened")
+      ->check(CLI::PositiveNumber);
   device_command->add_flag("--loop", device.loop,
                            "play to the end and back again until interrupted");
   device_command->add_flag("--pause-at-end", device.pause_at_end,

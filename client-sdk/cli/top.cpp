@@ -48,15 +48,17 @@ void print_table(const Status& status, const std::deque<Event>& events) {
       status.realtime_note.empty() ? "" : "\n            ", status.realtime_note.c_str());
   std::printf("clients     %u devices, %u viewers, frames at %.0f Hz\n\n", status.devices,
               status.viewers, status.frame_rate_hz);
-  std::printf("%-16s %-8s %-6s %-10s %8s %8s %8s %8s %9s %9s %8s  %s\n", "tool", "kind", "leased",
-              "state", "poses/s", "forces/s", "force N", "peak N", "tick p50", "tick p99", "lost",
-              "faults");
+  std::printf("%-16s %-8s %-6s %-8s %-10s %8s %8s %8s %8s %8s %9s %9s %8s  %s\n", "tool", "kind",
+              "leased", "renders", "state", "poses/s", "forces/s", "force N", "peak N", "given mJ",
+              "tick p50", "tick p99", "lost", "faults");
   for (const ToolStatus& tool : status.tools) {
-    std::printf("%-16s %-8s %-6s %-10s %8.0f %8.0f %8.3f %8.3f %6.0f µs %6.0f µs %8llu  %s\n",
-                tool.tool.c_str(), tool.kind.c_str(), tool.leased ? "yes" : "no",
-                name_of(tool.state), tool.pose_rate_hz, tool.force_rate_hz, tool.force_n,
-                tool.peak_force_n, tool.tick.p50_us, tool.tick.p99_us,
-                static_cast<unsigned long long>(tool.poses_lost), fault_names(tool.faults).c_str());
+    std::printf(
+        "%-16s %-8s %-6s %-8s %-10s %8.0f %8.0f %8.3f %8.3f %8.2f %6.0f µs %6.0f µs %8llu  %s\n",
+        tool.tool.c_str(), tool.kind.c_str(), tool.leased ? "yes" : "no",
+        tool.renders_itself ? "device" : "server", name_of(tool.state), tool.pose_rate_hz,
+        tool.force_rate_hz, tool.force_n, tool.peak_force_n, 1e3 * tool.energy_to_hand_j,
+        tool.tick.p50_us, tool.tick.p99_us, static_cast<unsigned long long>(tool.poses_lost),
+        fault_names(tool.faults).c_str());
   }
   if (!events.empty()) std::printf("\n");
   for (const Event& event : events) {

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "support/heap_guard.hpp"
 
+#include <dlfcn.h>
+#include <pthread.h>
+
 #include <atomic>
 #include <cerrno>
 #include <cstdlib>
@@ -16,6 +19,7 @@ namespace {
 // Plain thread locals of the executable: their access does not allocate itself.
 thread_local std::uint64_t g_thread_allocations = 0;
 thread_local std::uint64_t g_thread_frees = 0;
+thread_local std::uint64_t g_thread_locks = 0;
 thread_local bool g_abort = false;
 std::atomic<std::uint64_t> g_process_allocations{0};
 
@@ -79,6 +83,51 @@ void free(void* block) {
   __libc_free(block);
 }
 }
+
+namespace {
+
+/// The C library's own function of this name. Looked up once a function: dlsym itself locks, but
+/// by a call within the C library, which does not come by here.
+template <class Function>
+Function* next(const char* name) noexcept {
+  return reinterpret_cast<Function*>(dlsym(RTLD_NEXT, name));
+}
+
+}  // namespace
+
+extern "C" {
+int pthread_mutex_lock(pthread_mutex_t* mutex) noexcept {
+  static std::atomic<int (*)(pthread_mutex_t*)> real{nullptr};
+  auto* call = real.load(std::memory_order_relaxed);
+  if (call == nullptr) real.store(call = next<int(pthread_mutex_t*)>("pthread_mutex_lock"));
+  ++g_thread_locks;
+  return call(mutex);
+}
+
+int pthread_mutex_trylock(pthread_mutex_t* mutex) noexcept {
+  static std::atomic<int (*)(pthread_mutex_t*)> real{nullptr};
+  auto* call = real.load(std::memory_order_relaxed);
+  if (call == nullptr) real.store(call = next<int(pthread_mutex_t*)>("pthread_mutex_trylock"));
+  ++g_thread_locks;
+  return call(mutex);
+}
+
+int pthread_rwlock_rdlock(pthread_rwlock_t* lock) noexcept {
+  static std::atomic<int (*)(pthread_rwlock_t*)> real{nullptr};
+  auto* call = real.load(std::memory_order_relaxed);
+  if (call == nullptr) real.store(call = next<int(pthread_rwlock_t*)>("pthread_rwlock_rdlock"));
+  ++g_thread_locks;
+  return call(lock);
+}
+
+int pthread_rwlock_wrlock(pthread_rwlock_t* lock) noexcept {
+  static std::atomic<int (*)(pthread_rwlock_t*)> real{nullptr};
+  auto* call = real.load(std::memory_order_relaxed);
+  if (call == nullptr) real.store(call = next<int(pthread_rwlock_t*)>("pthread_rwlock_wrlock"));
+  ++g_thread_locks;
+  return call(lock);
+}
+}
 #endif
 
 namespace sutured::testing {
@@ -86,7 +135,8 @@ namespace sutured::testing {
 HeapGuard::HeapGuard() noexcept
     : thread_start_(g_thread_allocations),
       process_start_(g_process_allocations.load(std::memory_order_relaxed)),
-      frees_start_(g_thread_frees) {}
+      frees_start_(g_thread_frees),
+      locks_start_(g_thread_locks) {}
 
 std::uint64_t HeapGuard::allocations() const noexcept {
   return g_thread_allocations - thread_start_;
@@ -97,6 +147,8 @@ std::uint64_t HeapGuard::allocations_of_process() const noexcept {
 }
 
 std::uint64_t HeapGuard::frees() const noexcept { return g_thread_frees - frees_start_; }
+
+std::uint64_t HeapGuard::locks() const noexcept { return g_thread_locks - locks_start_; }
 
 bool HeapGuard::active() noexcept { return SUTURED_COUNTS_HEAP != 0; }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Counts heap allocations, so that a test can claim "this allocates nothing".
+// Counts heap allocations and locks, so that a test can claim "this allocates nothing and
+// locks nothing".
 //
 // Link `sutured_heap_guard` into the test: it puts counting versions of malloc and
 // its relatives before those of the C library, so that operator new and the C code of
@@ -9,6 +10,7 @@
 //     HeapGuard guard;
 //     hot_call();
 //     EXPECT_EQ(guard.allocations(), 0U);
+//     EXPECT_EQ(guard.locks(), 0U);
 #pragma once
 
 #include <cstdint>
@@ -28,6 +30,11 @@ class HeapGuard {
   /// Returns how often the present thread freed memory.
   [[nodiscard]] std::uint64_t frees() const noexcept;
 
+  /// Returns how often the present thread locked, or tried to, a mutex or a read-write lock
+  /// of pthreads: what std::mutex and its relatives come down to. Unlike with malloc, only calls
+  /// that the dynamic linker binds are seen, of this program and its libraries.
+  [[nodiscard]] std::uint64_t locks() const noexcept;
+
   /// False in builds with a sanitizer, where nothing is counted.
   [[nodiscard]] static bool active() noexcept;
 
@@ -39,6 +46,7 @@ class HeapGuard {
   std::uint64_t thread_start_;
   std::uint64_t process_start_;
   std::uint64_t frees_start_;
+  std::uint64_t locks_start_;
 };
 
 }  // namespace sutured::testing

@@ -28,6 +28,7 @@ constexpr int kTickPriority = 60;  // below the receive thread, which feeds it
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 // Two forces within the limits differ by twice the largest at most: long enough to fade that.
 constexpr std::int64_t kHandoverNs = 60'000'000;
+constexpr std::int64_t kHandStaleNs = 15'000'000;    // where a server does not say
 constexpr std::int64_t kRenderedPeriodNs = 950'000;  // at most 1 kHz, with room for jitter
 
 /// A force and when it arrived; 0: none did.
@@ -272,7 +273,10 @@ void Device::State::tell_profile() {
 
 void Device::State::listen_to_models() {
   if (!renderer) {
-    renderer = std::make_unique<ModelRenderer>(options.limits, options.max_speed_m_per_s);
+    const ServerTool* tool = server.tool(options.tool);  // there, or `connect` had thrown
+    renderer = std::make_unique<ModelRenderer>(
+        options.limits, options.max_speed_m_per_s,
+        tool->stale_after_ms > 0.0 ? std::llround(1e6 * tool->stale_after_ms) : kHandStaleNs);
     rendered_writer = Writer<v1::ToolRendered>(participant);
     rendered.tool_id = id;
   }

@@ -175,7 +175,8 @@ void ModelRenderer::heed(const Hand& hand, std::int64_t taken_ns) noexcept {
   // A jump is a good hand in itself: the next ones are measured from there.
   if (!pose_is_good) return;
   if (!has_previous_) good_since_ns_ = taken_ns - kSettleNs;  // the server settles before it allows
-  if (has_previous_ && taken_ns - good_ns_ >= kHandZeroNs) good_since_ns_ = taken_ns;  // was gone
+  if (has_previous_ && taken_ns - good_ns_ >= hand_stale_ns_ + kHandFadeNs)
+    good_since_ns_ = taken_ns;  // was gone
   previous_ = hand;
   good_ns_ = taken_ns;
   has_previous_ = true;
@@ -205,7 +206,9 @@ double ModelRenderer::ceiling(bool allowed, std::int64_t now_ns) noexcept {
   const ReceivedModel& current = models_.front();
   const double fresh =
       freshness(now_ns - current.arrived_ns, current.stale_after_ns, current.zero_after_ns);
-  if (allowed) return std::min(fresh, freshness(now_ns - good_ns_, kHandStaleNs, kHandZeroNs));
+  if (allowed)
+    return std::min(fresh,
+                    freshness(now_ns - good_ns_, hand_stale_ns_, hand_stale_ns_ + kHandFadeNs));
   return std::min(fresh, phase_at_fade_ * freshness(now_ns - fade_since_ns_, 0, current.ramp_ns));
 }
 
@@ -221,7 +224,6 @@ Force ModelRenderer::render(const Hand& hand, std::int64_t taken_ns, const Force
   const auto permitted = [&](const ReceivedModel& model) {
     return model.engaged && !model.stopped && !stop && good_hand &&
            (latched_ & suture_v1_FAULT_ENERGY) == 0 &&
-           (server.faults & suture_v1_FAULT_POSE_STALE) == 0 &&
            (server.state == ForceState::kRendering || server.state == ForceState::kRamping ||
             server.state == ForceState::kServerSilent);
   };
@@ -271,7 +273,7 @@ Force ModelRenderer::render(const Hand& hand, std::int64_t taken_ns, const Force
   ongoing_ = 0;
   if (limited) ongoing_ |= suture_v1_FAULT_FORCE_LIMIT;
   if (slewed) ongoing_ |= suture_v1_FAULT_SLEW_LIMIT;
-  if (now_ns - good_ns_ > kHandStaleNs) ongoing_ |= suture_v1_FAULT_POSE_STALE;
+  if (now_ns - good_ns_ > hand_stale_ns_) ongoing_ |= suture_v1_FAULT_POSE_STALE;
   if (now_ns - current.arrived_ns > current.stale_after_ns) ongoing_ |= suture_v1_FAULT_MODEL_STALE;
   if (evaluator_.fallbacks() != last_fallbacks_) ongoing_ |= suture_v1_FAULT_MODEL_PIVOTS;
   last_fallbacks_ = evaluator_.fallbacks();

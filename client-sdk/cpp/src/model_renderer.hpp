@@ -47,8 +47,10 @@ struct ReceivedModel {
 /// Threads: `receive` on one, `render` and the rest on one. Allocates: nothing.
 class ModelRenderer {
  public:
-  ModelRenderer(const DeviceLimits& device, double max_speed_m_per_s) noexcept
-      : device_(device), max_speed_m_per_s_(max_speed_m_per_s) {}
+  /// `hand_stale_ns`: age of a hand from which on the force fades, as the tool's poses do.
+  ModelRenderer(const DeviceLimits& device, double max_speed_m_per_s,
+                std::int64_t hand_stale_ns = 15'000'000) noexcept
+      : device_(device), max_speed_m_per_s_(max_speed_m_per_s), hand_stale_ns_(hand_stale_ns) {}
 
   /// Takes a model in; one that does not hold together is dropped.
   void receive(const v1::HapticModel& wire, std::int64_t now_ns) noexcept;
@@ -71,8 +73,8 @@ class ModelRenderer {
  private:
   static constexpr std::int64_t kRiseNs = 200'000'000;
   static constexpr std::int64_t kSettleNs = 20'000'000;
-  // A hand of which nothing is heard: as the server does with a pose.
-  static constexpr std::int64_t kHandStaleNs = 15'000'000, kHandZeroNs = 45'000'000;
+  // Of a hand of which nothing is heard: as the server does with a pose.
+  static constexpr std::int64_t kHandFadeNs = 30'000'000;
 
   void heed(const Hand& hand, std::int64_t taken_ns) noexcept;
   [[nodiscard]] Wrench model_wrench(std::int64_t now_ns) noexcept;
@@ -80,6 +82,7 @@ class ModelRenderer {
 
   DeviceLimits device_;
   double max_speed_m_per_s_;
+  std::int64_t hand_stale_ns_;
   Snapshot<ReceivedModel> models_;
 
   // The renderer's.

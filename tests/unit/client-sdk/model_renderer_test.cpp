@@ -338,12 +338,19 @@ TEST_F(ModelRendererTest, EndsAForceThatGivesMoreEnergyThanItTook) {
   EXPECT_EQ(renderer_.faults(), 0U) << "a hand at rest gets it back";
 }
 
-TEST_F(ModelRendererTest, AllocatesNothing) {
+TEST_F(ModelRendererTest, NeitherAllocatesNorLocks) {
   if (!sutured::testing::HeapGuard::active()) GTEST_SKIP() << "sanitizers bring their own malloc";
   settle(hand_at(0.01));
+  ModelRenderer weak({.max_stiffness_n_per_m = 50.0}, 2.0);
   const sutured::testing::HeapGuard guard;
   settle(hand_at(0.01));
+  for (int i = 0; i < 100; ++i) {
+    weak.receive(wire_, now_ns_ += kMs);
+    static_cast<void>(
+        weak.render(hand_at(i == 50 ? std::nan("") : 0.01), now_ns_, rendering(), i > 80, now_ns_));
+  }
   EXPECT_EQ(guard.allocations(), 0U);
+  EXPECT_EQ(guard.locks(), 0U);
 }
 
 }  // namespace
