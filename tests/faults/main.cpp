@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// sutured_faults: injects every fault of docs/architecture.md's promises into real servers and
-// real devices over DDS, in both render modes, and tells what the hand felt. `make faults`.
+// sutured_faults: injects every fault that a hand must not feel into real servers and real
+// devices over DDS, in both render modes, and tells what the hand felt. `make faults`.
 //
 // A probe presses a block of tissue and is held still, so that every change of force is the
 // fault's. What the hand felt is recorded at the device, 1000 times a second, after the SDK;
@@ -537,8 +537,7 @@ void write_table(const std::string& path, const std::vector<Result>& results,
          << (result.zero_ms ? cell(result.recovered_ms, "no") : "–") << " |\n";
   }
   file << "\n![Force at the hand around each fault](faults.png)\n\n"
-       << "The simulation's step is slow for 250 ms and ends by itself before the record's *back* "
-          "begins to count.\n";
+       << "Other faults last 200 ms, the slow step 250: its *back* holds the 50.\n";
 }
 
 void write_curves(const std::string& path, const std::vector<Result>& results) {
