@@ -66,25 +66,37 @@ Wrench limit_slew(const Wrench& wanted, const Wrench& last, std::int64_t elapsed
                   limited)};
 }
 
+void SwapBlend::Fade::add_to(Wrench& wrench, std::int64_t now_ns, double sign) const noexcept {
+  const double left = freshness(now_ns, start_ns, end_ns);
+  if (left == 0.0) return;
+  const double beta = sign * left * left * (3.0 - 2.0 * left);
+  for (int i = 0; i < 3; ++i) {
+    wrench.force_n[i] += beta * offset.force_n[i];
+    wrench.torque_nm[i] += beta * offset.torque_nm[i];
+  }
+}
+
 void SwapBlend::swap(const Wrench& shown, const Wrench& next, std::int64_t now_ns,
                      std::int64_t duration_ns) noexcept {
+  Wrench difference;
   for (int i = 0; i < 3; ++i) {
-    offset_.force_n[i] = shown.force_n[i] - next.force_n[i];
-    offset_.torque_nm[i] = shown.torque_nm[i] - next.torque_nm[i];
+    difference.force_n[i] = shown.force_n[i] - next.force_n[i];
+    difference.torque_nm[i] = shown.torque_nm[i] - next.torque_nm[i];
   }
-  start_ns_ = now_ns;
-  duration_ns_ = duration_ns;
+  const std::int64_t end_ns = now_ns + duration_ns;
+  if (slow_.end_ns > end_ns) {
+    slow_.add_to(difference, now_ns, -1.0);
+    quick_ = {difference, now_ns, end_ns};
+  } else {
+    slow_ = {difference, now_ns, end_ns};
+    quick_ = {};
+  }
 }
 
 Wrench SwapBlend::apply(const Wrench& wrench, std::int64_t now_ns) const noexcept {
-  const double left = freshness(now_ns - start_ns_, 0, duration_ns_);
-  if (left == 0.0) return wrench;
-  const double beta = left * left * (3.0 - 2.0 * left);
   Wrench result = wrench;
-  for (int i = 0; i < 3; ++i) {
-    result.force_n[i] += beta * offset_.force_n[i];
-    result.torque_nm[i] += beta * offset_.torque_nm[i];
-  }
+  slow_.add_to(result, now_ns, 1.0);
+  quick_.add_to(result, now_ns, 1.0);
   return result;
 }
 

@@ -44,7 +44,9 @@ struct ForceLimits {
 ///
 ///     w(t) = w_new(ξ) + β(t) (w_shown − w_new)(ξ_swap),   β: 1 → 0
 ///
-/// The hand's own motion goes through w_new at once: no filter, no lag.
+/// The hand's own motion goes through w_new at once: no filter, no lag. A change of the world
+/// takes longer than the time to the next model; its fade then goes on as it began, and the
+/// next swap adds only its own difference.
 class SwapBlend {
  public:
   /// Starts a blend from `shown` (this blend's last result, renewed for the present pose)
@@ -54,13 +56,17 @@ class SwapBlend {
   [[nodiscard]] Wrench apply(const Wrench& wrench, std::int64_t now_ns) const noexcept;
   /// Says whether nothing of the difference is left.
   [[nodiscard]] bool over(std::int64_t now_ns) const noexcept {
-    return now_ns - start_ns_ >= duration_ns_;
+    return now_ns >= slow_.end_ns && now_ns >= quick_.end_ns;
   }
   void clear() noexcept { *this = {}; }
 
  private:
-  Wrench offset_;
-  std::int64_t start_ns_ = 0, duration_ns_ = 0;
+  struct Fade {
+    Wrench offset;
+    std::int64_t start_ns = 0, end_ns = 0;
+    void add_to(Wrench& wrench, std::int64_t now_ns, double sign) const noexcept;
+  };
+  Fade slow_, quick_;  // the one that ends last, and what came meanwhile
 };
 
 /// Returns how much of the gain a source of age `age_ns` still allows: 1 until it is

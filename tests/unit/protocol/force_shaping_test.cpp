@@ -51,6 +51,30 @@ TEST(StoppableWithin, LowersAForceThatItsSlewCouldNotEndInTime) {
   EXPECT_EQ(limits.max_torque_nm, slow.max_torque_nm);
 }
 
+TEST(SwapBlend, LetsASlowFadeGoOnThroughTheSwapsThatFollow) {
+  // A change of the world fades within 15 ms; models of 4 ms come meanwhile, each a little off.
+  SwapBlend blend;
+  const Wrench before{{1.0, 0.0, 0.0}, {}};
+  double model = 0.0;
+  blend.swap(before, {}, 0, 15 * kMs);
+  double last = 1.0;
+  for (int ms = 1; ms <= 40; ++ms) {
+    if (ms % 4 == 0 && ms < 20) {
+      const Wrench shown = blend.apply({{model, 0.0, 0.0}, {}}, ms * kMs);
+      model += 0.01;
+      blend.swap(shown, {{model, 0.0, 0.0}, {}}, ms * kMs, 4 * kMs);
+      EXPECT_NEAR(blend.apply({{model, 0.0, 0.0}, {}}, ms * kMs).force_n[0], shown.force_n[0],
+                  1e-15);
+    }
+    const double now = blend.apply({{model, 0.0, 0.0}, {}}, ms * kMs).force_n[0];
+    EXPECT_LE(std::abs(now - last), 1.5 / 15.0 + 0.01 * 1.5 / 4.0);
+    last = now;
+  }
+  EXPECT_EQ(last, model);
+  EXPECT_TRUE(blend.over(19 * kMs + 4 * kMs));
+  EXPECT_FALSE(blend.over(14 * kMs));
+}
+
 TEST(SwapBlend, LeavesNoStepAndAddsNoLag) {
   SwapBlend blend;
   const Wrench before{{1.0, 0.0, 0.0}, {0.0, 0.01, 0.0}};
