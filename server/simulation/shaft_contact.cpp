@@ -21,6 +21,8 @@ constexpr int kStride = 2;
 constexpr double kResistedForce_n = 5e-3;
 constexpr double kSlideLength_m = 1e-3;
 constexpr double kComplianceTimesModulus = 1e-4 * 2e5;
+// Less of a normal than this across the axis belongs to a point farther along it.
+constexpr double kAcrossMin = 0.3;
 
 std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
@@ -30,6 +32,15 @@ void touch_surface(const needle::TissueView& view, const ShaftContact::Touch& to
   const auto& triangle = view.surface->triangles[at(touch.at.triangle)];
   for (std::size_t a = 0; a < 3; ++a)
     rows.touch(triangle[a], touch.at.barycentric[static_cast<Eigen::Index>(a)] * direction);
+}
+
+/// Turns the normal of a touch at right angles to the axis: a tube does not push along itself, and
+/// as it slides along itself its gap stays. The end of the shaft alone has a face that may push.
+void square_to_axis(const Vec3& tangent, ShaftContact::Touch& touch) {
+  const Vec3 across = touch.normal - touch.normal.dot(tangent) * tangent;
+  const double share = across.norm();
+  if (touch.sample == 0 || share < kAcrossMin) return;
+  touch.normal = across / share;
 }
 
 }  // namespace
@@ -98,6 +109,8 @@ void ShaftContact::find(const TissueState& tissue, const NeedleBody& needle, dou
                          [](const Touch& a, const Touch& b) { return a.gap_m < b.gap_m; });
     if (now.gap_m < farthest->gap_m) *farthest = now;
   }
+  for (std::size_t i = 0; i < count_; ++i)
+    square_to_axis(curve.tangent(pose, touches_[i].s), touches_[i]);
 }
 
 void ShaftContact::add_rows(const TissueState& tissue, const NeedleBody& needle, int needle_index,
