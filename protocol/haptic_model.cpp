@@ -44,14 +44,17 @@ void transport(const HapticModel& model, const Twist& xi, const Array3& bilatera
   const Array3 axis{model.slide_twist[0], model.slide_twist[1], model.slide_twist[2]};
   const Array3 spin{model.slide_twist[3], model.slide_twist[4], model.slide_twist[5]};
   const auto& m = model.arm_moment_nm;
-  const auto arms = [&](double slide) noexcept {
+  // `bend` is the way that the origin's course bends off its tangent meanwhile.
+  const auto arms = [&](double slide, const Array3& bend) noexcept {
     const Array3 carried{theta[0] - slide * spin[0], theta[1] - slide * spin[1],
                          theta[2] - slide * spin[2]};
     const double trace = m[0] + m[4] + m[8];
-    const Array3 left_behind = cross(axis, bilateral_force_n);
+    const Array3 left_behind =
+        cross({slide * axis[0] + bend[0], slide * axis[1] + bend[1], slide * axis[2] + bend[2]},
+              bilateral_force_n);
     Array3 torque;
     for (int i = 0; i < 3; ++i) {
-      torque[i] = -slide * left_behind[i] - trace * carried[i];
+      torque[i] = -left_behind[i] - trace * carried[i];
       for (int j = 0; j < 3; ++j) torque[i] += m[3 * i + j] * carried[j];
     }
     return torque;
@@ -61,7 +64,7 @@ void transport(const HapticModel& model, const Twist& xi, const Array3& bilatera
   if (model.slide_stiffness > 0.0) {
     slide = dot(model.slide_gradient, xi);
     const Array3 turned = cross(theta, axis), turned_spin = cross(theta, spin);
-    const Array3 torque = arms(slide);
+    const Array3 torque = arms(slide, {});
     double excess = 0.0;
     for (int i = 0; i < 3; ++i)
       excess += turned[i] * w.force_n[i] + turned_spin[i] * w.torque_nm[i] + spin[i] * torque[i];
@@ -71,7 +74,9 @@ void transport(const HapticModel& model, const Twist& xi, const Array3& bilatera
       w.torque_nm[i] -= model.slide_gradient[i + 3] * excess;
     }
   }
-  const Array3 torque = arms(slide);
+  const Array3 round = cross(spin, axis);
+  const double half = 0.5 * slide * slide;
+  const Array3 torque = arms(slide, {half * round[0], half * round[1], half * round[2]});
   for (int i = 0; i < 3; ++i) w.torque_nm[i] += torque[i];
 }
 
@@ -89,9 +94,19 @@ Twist motion_between(const Pose& reference, const Pose& pose) noexcept {
   const double sine = std::hypot(x, y, z);
   // θ = 2 atan2(|v|, w) v / |v|, and 2 v as |v| → 0.
   const double scale = sine > 1e-9 ? 2.0 * std::atan2(sine, w) / sine : 2.0;
+  const Array3 theta{scale * x, scale * y, scale * z};
+  // t = V(θ)⁻¹ (p − p_k), V⁻¹ = 1 − ½ [θ] + c [θ]², c = (1 − φ sin φ / (2 (1 − cos φ))) / φ², and
+  // with φ = |θ|, sin φ = 2 |v| w: φ sin φ / (2 (1 − cos φ)) = φ w / (2 |v|).
+  const double angle = scale * sine;
+  const double c = angle > 1e-2 ? (1.0 - angle * w / (2.0 * sine)) / (angle * angle)
+                                : 1.0 / 12.0 + angle * angle / 720.0;
+  const Array3 way{pose.position_m[0] - reference.position_m[0],
+                   pose.position_m[1] - reference.position_m[1],
+                   pose.position_m[2] - reference.position_m[2]};
+  const Array3 once = cross(theta, way), twice = cross(theta, once);
   Twist xi;
-  for (int i = 0; i < 3; ++i) xi[i] = pose.position_m[i] - reference.position_m[i];
-  xi[3] = scale * x, xi[4] = scale * y, xi[5] = scale * z;
+  for (int i = 0; i < 3; ++i) xi[i] = way[i] - 0.5 * once[i] + c * twice[i];
+  xi[3] = theta[0], xi[4] = theta[1], xi[5] = theta[2];
   return xi;
 }
 
@@ -218,8 +233,11 @@ int ModelEvaluator::violations(const HapticModel& model) noexcept {
   return count;
 }
 
-void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi) noexcept {
+void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi,
+                             std::span<const Twist> others) noexcept {
   for (int i = 0; i < model.rows; ++i) rhs_[i] = model.offset_m[i] + dot(model.jacobian[i], xi);
+  for (std::size_t k = 0; k < others.size(); ++k)
+    for (int i = 0; i < model.rows; ++i) rhs_[i] += dot(model.others[k].jacobian[i], others[k]);
 
   // A row found redundant while factoring leaves the set, so this ends.
   const auto solve_with_set = [&]() noexcept {
@@ -252,19 +270,28 @@ void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi) noexcept
     lambda_[i] = std::clamp(lambda_[i], 0.0, model.multiplier_max_n[i]);
 }
 
-Wrench ModelEvaluator::evaluate(const HapticModel& model, const Pose& pose) noexcept {
+Wrench ModelEvaluator::evaluate(const HapticModel& model, const Pose& pose,
+                                std::span<const Pose> others) noexcept {
   if (!model.touching) return {};
   if (model.epoch != epoch_ || model.sequence != sequence_) begin(model);
   const Twist xi = motion_between(model.reference, pose);
-  resolve(model, xi);
+  std::array<Twist, kModelOthersMax> motions;
+  const std::size_t count = std::min(others.size(), static_cast<std::size_t>(model.other_count));
+  for (std::size_t k = 0; k < count; ++k)
+    motions[k] = motion_between(model.others[k].reference, others[k]);
+  resolve(model, xi, {motions.data(), count});
 
   Wrench w = model.bilateral_wrench;
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 6; ++j) {
-      w.force_n[i] -= model.bilateral_stiffness[6 * i + j] * xi[j];
-      w.torque_nm[i] -= model.bilateral_stiffness[6 * (i + 3) + j] * xi[j];
-    }
-  }
+  const auto subtract = [&w](const std::array<double, 36>& stiffness,
+                             const Twist& motion) noexcept {
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 6; ++j) {
+        w.force_n[i] -= stiffness[6 * i + j] * motion[j];
+        w.torque_nm[i] -= stiffness[6 * (i + 3) + j] * motion[j];
+      }
+  };
+  subtract(model.bilateral_stiffness, xi);
+  for (std::size_t k = 0; k < count; ++k) subtract(model.others[k].stiffness, motions[k]);
   const Array3 bilateral_force = w.force_n;
   for (int r = 0; r < model.rows; ++r) {
     if (lambda_[r] == 0.0) continue;
@@ -278,15 +305,15 @@ Wrench ModelEvaluator::evaluate(const HapticModel& model, const Pose& pose) noex
   return w;
 }
 
-Wrench evaluate(const HapticModel& model, const Pose& pose) noexcept {
+Wrench evaluate(const HapticModel& model, const Pose& pose, std::span<const Pose> others) noexcept {
   ModelEvaluator evaluator;
-  return evaluator.evaluate(model, pose);
+  return evaluator.evaluate(model, pose, others);
 }
 
 void complete_model(HapticModel& model) noexcept {
   ModelEvaluator at_rest;
   at_rest.begin(model);
-  at_rest.resolve(model, Twist{});
+  at_rest.resolve(model, Twist{}, {});
   model.wrench = model.bilateral_wrench;
   for (int r = 0; r < model.rows; ++r) {
     for (int i = 0; i < 3; ++i) {

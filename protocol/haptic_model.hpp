@@ -13,6 +13,7 @@
 
 #include <array>
 #include <cstdint>
+#include <span>
 
 namespace suture {
 
@@ -28,21 +29,36 @@ struct Wrench {
   std::array<double, 3> torque_nm{};
 };
 
-/// A small rigid motion: translation (m) of the tool's origin, then rotation vector (rad).
+/// A small rigid motion: velocity (m) of the tool's origin, then rotation vector (rad).
 using Twist = std::array<double, 6>;
 
 /// Returns the motion from `reference` to `pose`, world axes:
 ///
-///     ξ = (p − p_k, log(q q_k⁻¹))
+///     ξ = (t, θ),   θ = log(q q_k⁻¹),   p − p_k = V(θ) t,   V(θ) = ∫₀¹ exp(s [θ]) ds
 ///
-/// The rotation vector is the short one, |θ| ≤ π.
+/// the one screw that, followed for a unit of time, leads from one to the other. So a turn about
+/// the centre of a needle's arc is a multiple of the slide's twist however far it goes; with p −
+/// p_k itself the chord's bend would be taken for a push across the needle. The rotation vector is
+/// the short one, |θ| ≤ π.
 [[nodiscard]] Twist motion_between(const Pose& reference, const Pose& pose) noexcept;
 
 inline constexpr int kModelRowsMax = 64;
+inline constexpr int kModelOthersMax = 7;
 inline constexpr int kModelPackedMax = kModelRowsMax * (kModelRowsMax + 1) / 2;
 
 /// Where entry (i, j), i ≥ j, of a symmetric matrix lies in its packed lower triangle.
 [[nodiscard]] constexpr int packed_index(int i, int j) noexcept { return i * (i + 1) / 2 + j; }
+
+/// How a tool's model depends on the small motion ξ' of another tool since `reference`, which it
+/// feels through the tissue, a needle or a thread:
+///
+///     w −= stiffness ξ',   gap −= jacobian ξ'
+struct ModelCoupling {
+  std::int32_t tool = -1;              ///< the other one, in the numbering of who holds the model
+  Pose reference;                      ///< its pose in the model's step
+  std::array<double, 36> stiffness{};  ///< B: the other tool's towards this one is Bᵀ
+  std::array<Twist, kModelRowsMax> jacobian{};  ///< a row each of the model's
+};
 
 /// What a tool feels, and how that changes with its small motion ξ since `reference`.
 ///
@@ -56,7 +72,7 @@ inline constexpr int kModelPackedMax = kModelRowsMax * (kModelRowsMax + 1) / 2;
 /// symmetric and positive semidefinite and no closed motion of the hand gains energy.
 ///
 /// World axes, SI units, wrenches about the tool's origin. Row-major 6 × 6 matrices in the
-/// order (translation, rotation). A plain value: trivially copyable, about 21 kB.
+/// order (translation, rotation). A plain value: trivially copyable, about 45 kB.
 struct HapticModel {
   std::uint64_t epoch = 0;          ///< renewed when the server starts or resets
   std::uint64_t sequence = 0;       ///< of the step, from 1; 0: there is no model
@@ -89,6 +105,9 @@ struct HapticModel {
   std::array<double, kModelRowsMax> offset_m{};              ///< q
   std::array<double, kModelRowsMax> multiplier_n{};          ///< λ(0)
   std::array<double, kModelRowsMax> multiplier_max_n{};      ///< λ_max, +inf where unbounded
+
+  std::int32_t other_count = 0;
+  std::array<ModelCoupling, kModelOthersMax> others{};  ///< the first `other_count`
 };
 
 /// Evaluates one tool's models, keeping the last active set as the next one's start.
@@ -115,7 +134,8 @@ class ModelEvaluator {
   ///
   ///     Δτ = Σ (θ' × r − σ s_t) × f = (M − tr(M) I) θ' − σ s_t × Σ f,   M = Σ r fᵀ
   ///
-  /// (forces that turn with the needle, arms that grow as it leaves its tissue behind),
+  /// (forces that turn with the needle, arms that grow as it leaves its tissue behind; along an arc
+  /// the way σ s_t + ½ σ² s_θ × s_t of the origin bends),
   /// and the needle slides on until the force along the present axis s + θ × s is again
   /// the friction:
   ///
@@ -124,7 +144,11 @@ class ModelEvaluator {
   /// With both the model is exact to first order about any loaded reference. A
   /// translation without slide adds nothing: origin and forces move together. Unilateral
   /// rows, which let their tangents go, keep the arms of the reference.
-  [[nodiscard]] Wrench evaluate(const HapticModel& model, const Pose& pose) noexcept;
+  ///
+  /// `others[i]` is where the tool of `model.others[i]` is now; one that is not given counts as
+  /// where it was in the model's step. A stale one holds its last pose.
+  [[nodiscard]] Wrench evaluate(const HapticModel& model, const Pose& pose,
+                                std::span<const Pose> others = {}) noexcept;
 
   /// Forgets the active set: the next call starts from its model's.
   void restart() noexcept;
@@ -147,7 +171,7 @@ class ModelEvaluator {
   void solve(const HapticModel& model) noexcept;
   void solve_free(std::array<double, kModelRowsMax>& x) const noexcept;
   int violations(const HapticModel& model) noexcept;
-  void resolve(const HapticModel& model, const Twist& xi) noexcept;
+  void resolve(const HapticModel& model, const Twist& xi, std::span<const Twist> others) noexcept;
 
   std::uint64_t epoch_ = 0, sequence_ = 0;
   std::uint64_t fallbacks_ = 0;
@@ -163,7 +187,8 @@ class ModelEvaluator {
 };
 
 /// Returns the wrench of `model` at `pose` from the model alone, with no earlier active set.
-[[nodiscard]] Wrench evaluate(const HapticModel& model, const Pose& pose) noexcept;
+[[nodiscard]] Wrench evaluate(const HapticModel& model, const Pose& pose,
+                              std::span<const Pose> others = {}) noexcept;
 
 /// Completes a model whose `bilateral_…` fields and rows are set: `wrench`, `stiffness`
 /// (A = A_0 + Ĵ_Fᵀ S_FF⁻¹ Ĵ_F over the free rows F) and `radius_m`.

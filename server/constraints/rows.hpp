@@ -54,6 +54,8 @@ struct Row {
   Vec6 tool_jacobian = Vec6::Zero();    ///< Jᵗ
   std::int32_t second_tool = -1;        ///< another one that feels it (a thread between two jaws)
   Vec6 second_tool_jacobian = Vec6::Zero();
+  std::int32_t friction_of = -1;      ///< the normal row whose cone this row's force stays in
+  double friction_coefficient = 0.0;  ///< of that cone
   std::uint64_t key = 0;  ///< names the row from step to step, for the warm start; 0: none
 
   /// Couples the row to one more tool, of two at the most.

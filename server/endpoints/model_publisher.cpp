@@ -8,7 +8,9 @@ namespace sutured::endpoints {
 
 ModelPublisher::ModelPublisher(const suture::Participant& participant,
                                const std::vector<ServedTool>& tools, const ForceService& forces)
-    : tools_(tools), forces_(forces), writer_(participant), frozen_rows_(tools.size()) {}
+    : tools_(tools), forces_(forces), writer_(participant), frozen_rows_(tools.size()) {
+  for (const ServedTool& tool : tools) names_.push_back(tool.name);
+}
 
 ModelPublisher::~ModelPublisher() { stop(); }
 
@@ -25,6 +27,7 @@ void ModelPublisher::stop() noexcept {
 void ModelPublisher::run(haptics::SimulationLoop& loop) noexcept {
   haptics::name_thread("models");
   suture::v1::HapticModel wire{};
+  std::array<suture::v1::ToolCoupling, suture::kModelOthersMax> couplings{};
   std::uint32_t seen = beat_.load(std::memory_order_acquire);
   while (!stop_.load()) {
     beat_.wait(seen, std::memory_order_acquire);
@@ -38,7 +41,7 @@ void ModelPublisher::run(haptics::SimulationLoop& loop) noexcept {
       if (!heard) continue;
       suture::set_text(wire.tool, tools_[i].name);
       suture::set_guid(wire.device, forces_.guid_of_writer(published->writer));
-      set_model(wire, *published, tools_[i].channel->limits());
+      set_model(wire, *published, tools_[i].channel->limits(), names_, couplings);
       if (tools_[i].channel->stopped()) wire.flags |= suture_v1_MODEL_STOPPED;
       writer_.write(wire);
     }

@@ -3,6 +3,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -40,6 +41,7 @@ class ModelPublisher {
 
   const std::vector<ServedTool>& tools_;
   const ForceService& forces_;
+  std::vector<std::string> names_;
   suture::Writer<suture::v1::HapticModel> writer_;
   std::vector<std::atomic<std::uint32_t>> frozen_rows_;
   std::atomic<std::uint32_t> beat_{0};

@@ -66,6 +66,7 @@ struct Server::State {
   std::chrono::steady_clock::time_point started = std::chrono::steady_clock::now();
 
   std::optional<suture::Participant> control, mesh;
+  std::optional<haptics::PoseBoard> board;
   std::vector<std::unique_ptr<haptics::ToolChannel>> channels;
   std::vector<ServedTool> tools;
   std::optional<ForceService> forces;
@@ -87,8 +88,10 @@ Server::Server(scene::Scene scene, Options options)
 
   const auto period_ns = static_cast<std::int64_t>(std::llround(1e9 / s.options.rate_hz));
   std::vector<haptics::ToolChannel*> channels;
+  s.board.emplace(s.scene.tools.size());
   for (const scene::Tool& tool : s.scene.tools) {
     s.channels.push_back(std::make_unique<haptics::ToolChannel>(tool, period_ns));
+    s.channels.back()->join(*s.board, channels.size());
     channels.push_back(s.channels.back().get());
     s.tools.push_back(
         {tool.name, tool.kind == scene::ToolKind::kProbe ? "probe" : "driver", channels.back()});

@@ -174,7 +174,8 @@ suture_v1_ToolState wire_state(haptics::ToolState state) noexcept {
 }
 
 void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& published,
-               const suture::ForceLimits& limits) noexcept {
+               const suture::ForceLimits& limits, std::span<const std::string> names,
+               std::array<suture::v1::ToolCoupling, suture::kModelOthersMax>& couplings) noexcept {
   const suture::HapticModel& model = published.model;
   wire.epoch = model.epoch;
   wire.sequence_number = model.sequence;
@@ -205,6 +206,17 @@ void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& pub
   lend(wire.offset_m, model.offset_m.data(), rows);
   lend(wire.multiplier_n, model.multiplier_n.data(), rows);
   lend(wire.multiplier_max_n, model.multiplier_max_n.data(), rows);
+  const auto others = static_cast<std::size_t>(model.other_count);
+  for (std::size_t k = 0; k < others; ++k) {
+    const suture::ModelCoupling& from = model.others[k];
+    suture::v1::ToolCoupling& to = couplings[k];
+    suture::set_text(to.tool, names[static_cast<std::size_t>(from.tool)]);
+    copy(from.reference.position_m, to.position_m);
+    copy(from.reference.orientation_xyzw, to.orientation_xyzw);
+    copy(from.stiffness, to.stiffness);
+    lend(to.jacobian, from.jacobian[0].data(), rows * 6);
+  }
+  suture::lend(wire.others, std::span<const suture::v1::ToolCoupling>(couplings.data(), others));
   wire.frozen_rows = static_cast<std::uint32_t>(model.frozen_rows);
   wire.radius_m = model.radius_m;
   wire.norm_length_m = model.characteristic_length_m;

@@ -2,8 +2,10 @@
 // Between the server's values and those of idl/suture_v1.idl. Plain copies, no decisions.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -32,10 +34,11 @@ void set_force(suture::v1::ToolForce& wire, const haptics::ForceSample& force) n
 
 [[nodiscard]] suture_v1_ToolState wire_state(haptics::ToolState state) noexcept;
 
-/// Fills `wire` but for its tool and device. Its sequences lend from `published`, which
-/// must outlive the write.
+/// Fills `wire` but for its tool and device. Its sequences lend from `published` and from
+/// `couplings`, which is overwritten; both must outlive the write. `names` are the scene's tools.
 void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& published,
-               const suture::ForceLimits& limits) noexcept;
+               const suture::ForceLimits& limits, std::span<const std::string> names,
+               std::array<suture::v1::ToolCoupling, suture::kModelOthersMax>& couplings) noexcept;
 
 /// Fills kind, subject, object, position and value of `wire`.
 void set_event(suture::v1::Event& wire, const simulation::Event& event) noexcept;

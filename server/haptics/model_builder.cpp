@@ -5,6 +5,7 @@ namespace sutured::haptics {
 namespace {
 
 static_assert(simulation::CondensedProblem::kRowsMax == suture::kModelRowsMax);
+static_assert(simulation::ToolResponse::kOthersMax == suture::kModelOthersMax);
 
 using simulation::CondensedProblem;
 using simulation::Mat6;
@@ -15,6 +16,25 @@ suture::Wrench wrench_of(const Vec6& w) { return {{w[0], w[1], w[2]}, {w[3], w[4
 void set_matrix(std::array<double, 36>& to, const Mat6& from) {
   for (int i = 0; i < 6; ++i)
     for (int j = 0; j < 6; ++j) to[6 * i + j] = from(i, j);
+}
+
+suture::Pose pose_of(const simulation::ToolInput& input) {
+  const auto& p = input.position_m;
+  const auto& q = input.orientation;
+  return {{p.x(), p.y(), p.z()}, {q.x(), q.y(), q.z(), q.w()}};
+}
+
+void set_others(suture::HapticModel& model, const simulation::ToolResponse& response) {
+  model.other_count = response.other_count;
+  for (int k = 0; k < response.other_count; ++k) {
+    const simulation::ToolCoupling& from = response.others[k];
+    suture::ModelCoupling& to = model.others[k];
+    to.tool = from.tool;
+    to.reference = pose_of(from.reference);
+    set_matrix(to.stiffness, from.stiffness);
+    for (int i = 0; i < model.rows; ++i)
+      for (int j = 0; j < 6; ++j) to.jacobian[i][j] = from.jacobian(i, j);
+  }
 }
 
 void set_rows(suture::HapticModel& model, const CondensedProblem& problem) {
@@ -35,9 +55,7 @@ void set_rows(suture::HapticModel& model, const CondensedProblem& problem) {
 }  // namespace
 
 void fill_model(const simulation::ToolResponse& response, suture::HapticModel& model) {
-  const auto& p = response.reference.position_m;
-  const auto& q = response.reference.orientation;
-  model.reference = {{p.x(), p.y(), p.z()}, {q.x(), q.y(), q.z(), q.w()}};
+  model.reference = pose_of(response.reference);
   model.touching = response.touching;
   model.world_changed = response.world_changed;
   for (int i = 0; i < 6; ++i) {
@@ -52,6 +70,7 @@ void fill_model(const simulation::ToolResponse& response, suture::HapticModel& m
   model.bilateral_wrench = wrench_of(response.bilateral_wrench);
   set_matrix(model.bilateral_stiffness, response.bilateral_stiffness);
   set_rows(model, response.condensed);
+  set_others(model, response);
   suture::complete_model(model);
 }
 

@@ -48,6 +48,12 @@ bool finite(const suture::HapticModel& m) noexcept {
   for (int i = 0; i < m.rows; ++i)
     good &= all_finite(m.jacobian[i]) && std::isfinite(m.offset_m[i]) &&
             std::isfinite(m.multiplier_n[i]) && m.multiplier_max_n[i] >= 0.0;
+  if (m.other_count < 0 || m.other_count > suture::kModelOthersMax) return false;
+  for (int k = 0; k < m.other_count; ++k) {
+    good &= all_finite(m.others[k].stiffness) && all_finite(m.others[k].reference.position_m) &&
+            all_finite(m.others[k].reference.orientation_xyzw);
+    for (int i = 0; i < m.rows; ++i) good &= all_finite(m.others[k].jacobian[i]);
+  }
   return good;
 }
 
@@ -348,6 +354,7 @@ void ToolChannel::accept(const PoseSample& sample, std::int64_t now_ns) noexcept
 void ToolChannel::publish_target() noexcept {
   targets_.publish(
       {stage_ != Stage::kIdle, pose_, jaw_, served_sequence_, writer_, frame_, workspace_});
+  if (board_ != nullptr) board_->publish(tool_, pose_);
 }
 
 void ToolChannel::begin_fading(std::int64_t now_ns) noexcept {
@@ -397,25 +404,37 @@ void ToolChannel::leave_or_stay(std::int64_t now_ns) noexcept {
   }
 }
 
+// What the model in force gives at the pose in force and at those of the other tools.
+suture::Wrench ToolChannel::evaluate_model() noexcept {
+  const suture::HapticModel& model = models_.front().model;
+  std::array<suture::Pose, suture::kModelOthersMax> others;
+  for (int k = 0; k < model.other_count; ++k) {
+    const suture::ModelCoupling& coupling = model.others[k];
+    const suture::Pose* now =
+        board_ != nullptr ? board_->pose(static_cast<std::size_t>(coupling.tool), tool_) : nullptr;
+    others[k] = now != nullptr ? *now : coupling.reference;
+  }
+  return evaluator_.evaluate(model, pose_,
+                             {others.data(), static_cast<std::size_t>(model.other_count)});
+}
+
 // What the model gives at the pose in force, without a step where the model is new.
 suture::Wrench ToolChannel::model_wrench(std::int64_t now_ns) noexcept {
   const bool renders = stage_ == Stage::kRendering || stage_ == Stage::kFading;
   if (!models_.pending()) {
     if (!renders || !has_model_) return {};
-    return blend_.apply(evaluator_.evaluate(models_.front().model, pose_), now_ns);
+    return blend_.apply(evaluate_model(), now_ns);
   }
   // The old model is asked once more, before its place goes back to the writer.
   const suture::Wrench shown =
-      renders && has_model_
-          ? blend_.apply(evaluator_.evaluate(models_.front().model, pose_), now_ns)
-          : suture::Wrench{};
+      renders && has_model_ ? blend_.apply(evaluate_model(), now_ns) : suture::Wrench{};
   models_.update();
   const suture::HapticModel& model = models_.front().model;
   if (has_model_ && model.epoch != epoch_) begin_fading(now_ns);  // the world was reset
   epoch_ = model.epoch;
   has_model_ = true;
   if (!renders) return {};
-  const suture::Wrench next = evaluator_.evaluate(model, pose_);
+  const suture::Wrench next = evaluate_model();
   const std::int64_t period_ns = std::max<std::int64_t>(model.period_ns, kMillisecond_ns);
   blend_.swap(shown, next, now_ns,
               model.world_changed ? kBlendOfChangedWorld_ns : std::min(kBlend_ns, period_ns));

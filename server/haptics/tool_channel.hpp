@@ -36,6 +36,7 @@
 #include <cstdint>
 #include <optional>
 
+#include "haptics/pose_board.hpp"
 #include "haptics/workspace.hpp"
 #include "protocol/energy_observer.hpp"
 #include "protocol/force_shaping.hpp"
@@ -209,6 +210,13 @@ class ToolChannel {
   /// are lowered: `limits()` says what stands.
   ToolChannel(const scene::Tool& tool, std::int64_t model_period_ns);
 
+  /// Tells the other tools of `board` where this one, its `tool`, is, and feels them through its
+  /// models. Call before any thread starts; the board outlives the channel.
+  void join(PoseBoard& board, std::size_t tool) noexcept {
+    board_ = &board;
+    tool_ = tool;
+  }
+
   /// Takes a pose and returns the force that answers it; none where the pose is not
   /// ours to answer (another's lease, too early, out of order) or another thread will.
   std::optional<ForceSample> on_pose(const PoseSample& sample, std::int64_t now_ns) noexcept;
@@ -285,6 +293,7 @@ class ToolChannel {
   void leave_or_stay(std::int64_t now_ns) noexcept;
   ForceSample render(std::int64_t now_ns, bool from_supervisor) noexcept;
   suture::Wrench model_wrench(std::int64_t now_ns) noexcept;
+  suture::Wrench evaluate_model() noexcept;
   double ceiling(std::int64_t now_ns) noexcept;
   void observe_energy(const suture::Wrench& world, const suture::Wrench& shown, std::int64_t now_ns,
                       std::int64_t elapsed_ns) noexcept;
@@ -300,6 +309,8 @@ class ToolChannel {
   double max_speed_m_per_s_;
   std::uint32_t clutch_mask_;
   double hand_over_tool_stiffness_;  // in the device's frame: force_scale × motion_scale
+  PoseBoard* board_ = nullptr;
+  std::size_t tool_ = 0;  // on the board
 
   // Shared.
   std::atomic<bool> held_{false};

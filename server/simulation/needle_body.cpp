@@ -207,15 +207,19 @@ void NeedleBody::add_rows(const TissueState& tissue, ConstraintRows& rows) {
   const auto& material = scene_->tissues[at(tissue.tissue_of_tet(tet))];
   tip_tissue_ = tissue.tissue_of_tet(tet);
   rows_compliance_ = kTipComplianceTimesModulus / tissue.young_modulus_pa(tet);
+  const bool outside = tip_.side == TipContact::Side::kOutside;
   const auto add = [&](const Bounds& bounds, const Vec3& direction) {
     constraints::Row& row = rows.add(bounds, direction.dot(tip), rows_compliance_);
     row.needle = index_;
     row.needle_jacobian = jacobian(tip, direction);
+    if (outside && tip_.rows > 0) {
+      row.friction_of = tip_.first_row;
+      row.friction_coefficient = material.surface_friction_coefficient;
+    }
     for (std::size_t a = 0; a < 3; ++a)
       rows.touch(triangle[a], tip_.at.barycentric[static_cast<Eigen::Index>(a)] * direction);
     ++tip_.rows;
   };
-  const bool outside = tip_.side == TipContact::Side::kOutside;
   const Vec3 push = outside ? Vec3(-tip_.normal) : tip_.normal;  // the way the tip pushes the wall
   const double cosine = push.dot(along);
   // Over a surface at a grazing angle the tip slides; from inside it is sharp, and cuts at any

@@ -9,12 +9,16 @@
 namespace sutured::simulation {
 namespace {
 
+// The arm at which a turn counts as a motion, in what is near to switching.
+constexpr double kArm_m = 0.01;
+
 std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
-double dot(const double* a, const double* b, int n) {
-  double sum = 0.0;
-  for (int i = 0; i < n; ++i) sum += a[i] * b[i];
-  return sum;
+/// Returns how far a tool may move at least before a function of its motion with this slope has
+/// changed by `distance`.
+double radius_of(double distance, const Vec6& slope) {
+  const double steepest = slope.head<3>().norm() + slope.tail<3>().norm() / kArm_m;
+  return std::max(distance, 0.0) / std::max(steepest, 1e-300);
 }
 
 }  // namespace
@@ -22,57 +26,239 @@ double dot(const double* a, const double* b, int n) {
 void ResponseBuilder::build(const constraints::ConstraintRows& rows,
                             const constraints::ComplementaritySolver& solver,
                             std::span<const double> lambda, std::span<const NeedleBody> needles,
-                            const ToolBody& tool, int index, ToolResponse& response) {
-  const int m = rows.size();
-  response.reference = tool.input();
-  response.wrench = tool.wrench();
-  response.arm_moment = tool.arm_moment();
-  response.touching = tool.touching();
-  response.world_changed = tool.world_changed();
+                            std::span<const ToolBody> tools, std::span<ToolResponse> responses) {
+  rows_ = &rows;
+  solver_ = &solver;
+  lambda_ = lambda;
+  needles_ = needles;
+  tools_ = tools;
+  find_columns();
+  if (!felt_.empty()) assemble();
+  for (std::size_t i = 0; i < tools.size(); ++i) build(static_cast<int>(i), responses[i]);
+}
+
+void ResponseBuilder::find_columns() {
+  felt_.clear();
+  released_.clear();
+  slide_count_ = 0;
+  for (int t = 0; t < static_cast<int>(tools_.size()); ++t)
+    for (int i = 0; i < rows_->size(); ++i)
+      if ((*rows_)[i].jacobian_of(t) != nullptr) {
+        felt_.push_back(t);
+        break;
+      }
+  if (felt_.empty()) return;
+  for (int n = 0; n < static_cast<int>(needles_.size()); ++n) {
+    if (!needles_[at(n)].slides_freely()) continue;
+    if (slides_.size() == slide_count_) slides_.emplace_back();
+    slides_[slide_count_++].needle = n;
+  }
+  for (int i = 0; i < rows_->size(); ++i)
+    if ((*rows_)[i].friction_of >= 0 && (*rows_)[i].bounds.bilateral_unbounded())
+      released_.push_back(i);
+}
+
+void ResponseBuilder::assemble() {
+  const int rows = rows_->size();
+  const int nb = static_cast<int>(solver_->bilateral().size());
+  bounded_ = static_cast<int>(solver_->bounded().size());
+  columns_ = 6 * static_cast<int>(felt_.size());
+  const int first_released = columns_ + static_cast<int>(slide_count_);
+  const int all_columns = first_released + static_cast<int>(released_.size());
+  size_ = bounded_ + all_columns;
+
+  x_.assign(at(all_columns) * at(rows), 0.0);
+  const auto x = [&](int column, int row) -> double& {
+    return x_[at(column) * at(rows) + at(row)];
+  };
+  for (int i = 0; i < rows; ++i) {
+    const constraints::Row& row = (*rows_)[i];
+    for (int f = 0; 6 * f < columns_; ++f)
+      if (const Vec6* jacobian = row.jacobian_of(felt_[at(f)]))
+        for (int c = 0; c < 6; ++c) x(6 * f + c, i) = (*jacobian)[c];
+    for (int s = 0; s < static_cast<int>(slide_count_); ++s)
+      if (row.needle == slides_[at(s)].needle) x(columns_ + s, i) = row.slide;
+  }
+  // The two rows of a tip are turned, so that the first lies along the force they carry.
+  for (int r = 0; r < static_cast<int>(released_.size()); r += 2) {
+    const int first = released_[at(r)], second = released_[at(r + 1)];
+    const double along = lambda_[at(first)], across = lambda_[at(second)];
+    const double force = std::hypot(along, across);
+    const double cosine = force > 0.0 ? along / force : 1.0;
+    const double sine = force > 0.0 ? across / force : 0.0;
+    x(first_released + r, first) = cosine, x(first_released + r, second) = sine;
+    x(first_released + r + 1, first) = -sine, x(first_released + r + 1, second) = cosine;
+  }
+  solver_->condense(x_.data(), all_columns, half_, condensed_);
+
+  m_.assign(at(size_) * at(size_), 0.0);
+  for (int j = 0; j < bounded_; ++j) {
+    double* column = &m_[at(j) * at(size_)];
+    for (int i = j; i < bounded_; ++i) column[i] = solver_->condensed_compliance(i, j);
+    for (int c = 0; c < all_columns; ++c)
+      column[bounded_ + c] = condensed_[at(c) * at(bounded_) + at(j)];
+  }
+  blas::subtract_gram(all_columns, nb, half_.data(), nb, &m_[at(bounded_) * at(size_ + 1)], size_);
+  for (int r = bounded_ + first_released; r < size_; ++r) pivot(r, true);
+  for (int s = 0; s < static_cast<int>(slide_count_); ++s) {
+    Slide& slide = slides_[at(s)];
+    const int k = bounded_ + columns_ + s;
+    slide.stiffness = -m(k, k);
+    if (slide.stiffness <= 0.0) continue;
+    slide.gradient.resize(at(columns_));
+    for (int c = 0; c < columns_; ++c) slide.gradient[at(c)] = m(k, bounded_ + c) / slide.stiffness;
+    pivot(k, false);
+  }
+  gather();
+}
+
+/// M ← M − m_p m_pᵀ / M_pp; with `exchange`, row and column p then are those of the row that its
+/// unit column stood for.
+void ResponseBuilder::pivot(int index, bool exchange) {
+  const double p = m(index, index);
+  column_.resize(at(size_));
+  for (int i = 0; i < size_; ++i) column_[at(i)] = m(i, index);
+  for (int j = 0; j < size_; ++j) {
+    const double scale = column_[at(j)] / p;
+    if (scale == 0.0) continue;
+    double* to = &m_[at(j) * at(size_)];
+    for (int i = j; i < size_; ++i) to[i] -= scale * column_[at(i)];
+  }
+  for (int i = 0; i < size_; ++i) m(i, index) = exchange ? column_[at(i)] / p : 0.0;
+  if (exchange) m(index, index) = -1.0 / p;
+}
+
+// The rows that may switch. A force that may have either sign is counted from its lower bound, so
+// that every row has 0 ≤ λ ≤ λ_max.
+void ResponseBuilder::gather() {
+  candidates_.clear();
+  for (int u = 0; u < bounded_; ++u) {
+    const int i = solver_->bounded()[at(u)];
+    const constraints::Row& row = (*rows_)[i];
+    Candidate candidate;
+    candidate.index = u;
+    if (row.bounds.lower_n == 0.0) {
+      candidate.multiplier_n = lambda_[at(i)];
+      candidate.multiplier_max_n = row.bounds.upper_n;
+      candidate.gap_m = solver_->gap_m()[at(i)];
+    } else if (row.friction_of >= 0) {
+      // A tip that slips does not come back by what it has slipped: its gap starts at zero.
+      candidate.multiplier_n = lambda_[at(i)] - row.bounds.lower_n;
+      candidate.multiplier_max_n = row.bounds.upper_n - row.bounds.lower_n;
+    } else {
+      continue;  // a grip that slips: its force is constant, it cannot switch
+    }
+    candidates_.push_back(candidate);
+  }
+  const int first_released = size_ - static_cast<int>(released_.size());
+  for (int r = 0; r < static_cast<int>(released_.size()); ++r) {
+    const constraints::Row& row = (*rows_)[released_[at(r)]];
+    const double cone = row.friction_coefficient * std::max(lambda_[at(row.friction_of)], 0.0);
+    const double force =
+        r % 2 == 0 ? std::hypot(lambda_[at(released_[at(r)])], lambda_[at(released_[at(r + 1)])])
+                   : 0.0;
+    Candidate candidate;
+    candidate.index = first_released + r;
+    candidate.multiplier_n = std::min(force, cone) + cone;
+    candidate.multiplier_max_n = 2.0 * cone;
+    candidates_.push_back(candidate);
+  }
+}
+
+/// Fills `chosen_`, and `frozen_` with those left that are in force.
+void ResponseBuilder::choose(int own) {
+  constexpr int kMax = CondensedProblem::kRowsMax;
+  chosen_ = candidates_;
+  frozen_.clear();
+  if (static_cast<int>(candidates_.size()) <= kMax) return;
+  // dλ_F/dξ = S_FF⁻¹ Ĵ_F, and what that does to the gaps of the others.
+  const auto others = std::partition(chosen_.begin(), chosen_.end(),
+                                     [](const Candidate& c) { return c.in_force(); });
+  const int nf = static_cast<int>(others - chosen_.begin());
+  factor_.resize(at(nf) * at(nf));
+  right_.resize(6 * at(nf));
+  for (int j = 0; j < nf; ++j) {
+    for (int i = j; i < nf; ++i)
+      factor_[at(j) * at(nf) + at(i)] = m(chosen_[at(i)].index, chosen_[at(j)].index);
+    for (int c = 0; c < 6; ++c)
+      right_[at(c) * at(nf) + at(j)] = m(chosen_[at(j)].index, bounded_ + own + c);
+  }
+  if (blas::cholesky(nf, factor_.data(), nf)) {
+    blas::forward(nf, factor_.data(), nf, right_.data(), 6, nf);
+    for (int c = 0; c < 6; ++c)
+      blas::backward(nf, factor_.data(), nf, right_.data() + at(c) * at(nf));
+  }
+  for (int i = 0; i < static_cast<int>(chosen_.size()); ++i) {
+    Candidate& row = chosen_[at(i)];
+    Vec6 slope;
+    double distance = 0.0;
+    if (i < nf) {
+      for (int c = 0; c < 6; ++c) slope[c] = right_[at(c) * at(nf) + at(i)];
+      distance = std::min(row.multiplier_n, row.multiplier_max_n - row.multiplier_n);
+    } else {
+      for (int c = 0; c < 6; ++c) {
+        slope[c] = -m(row.index, bounded_ + own + c);
+        for (int j = 0; j < nf; ++j)
+          slope[c] += m(row.index, chosen_[at(j)].index) * right_[at(c) * at(nf) + at(j)];
+      }
+      distance = std::abs(row.gap_m);
+    }
+    row.radius_m = radius_of(distance, slope);
+  }
+  std::nth_element(chosen_.begin(), chosen_.begin() + kMax, chosen_.end(),
+                   [](const Candidate& a, const Candidate& b) { return a.radius_m < b.radius_m; });
+  for (auto row = chosen_.begin() + kMax; row != chosen_.end(); ++row)
+    if (row->in_force()) frozen_.push_back(*row);
+  chosen_.resize(kMax);
+}
+
+/// Fills `own_`: M of the chosen rows and the tools' columns, the frozen rows eliminated.
+void ResponseBuilder::extract() {
+  const int mh = static_cast<int>(chosen_.size()), n = mh + columns_;
+  const auto index = [&](int i) { return i < mh ? chosen_[at(i)].index : bounded_ + (i - mh); };
+  own_.resize(at(n) * at(n));
+  for (int j = 0; j < n; ++j)
+    for (int i = j; i < n; ++i) own_[at(j) * at(n) + at(i)] = m(index(i), index(j));
+  const int ne = static_cast<int>(frozen_.size());
+  factor_.resize(at(ne) * at(ne));
+  right_.resize(at(ne) * at(n));
+  for (int j = 0; j < ne; ++j)
+    for (int i = j; i < ne; ++i)
+      factor_[at(j) * at(ne) + at(i)] = m(frozen_[at(i)].index, frozen_[at(j)].index);
+  for (int j = 0; j < n; ++j)
+    for (int i = 0; i < ne; ++i) right_[at(j) * at(ne) + at(i)] = m(frozen_[at(i)].index, index(j));
+  if (!blas::cholesky(ne, factor_.data(), ne)) return;  // redundant: their force stays
+  blas::forward(ne, factor_.data(), ne, right_.data(), n, ne);
+  blas::subtract_gram(n, ne, right_.data(), ne, own_.data(), n);
+}
+
+void ResponseBuilder::build(int tool, ToolResponse& response) {
+  const ToolBody& body = tools_[at(tool)];
+  response.reference = body.input();
+  response.wrench = body.wrench();
+  response.arm_moment = body.arm_moment();
+  response.touching = body.touching();
+  response.world_changed = body.world_changed();
   response.slide_twist.setZero();
   response.slide_gradient.setZero();
   response.slide_friction_n = response.slide_stiffness = 0.0;
   response.stiffness.setZero();
   response.bilateral_stiffness.setZero();
   response.bilateral_wrench = response.wrench;
+  response.other_count = 0;
   CondensedProblem& problem = response.condensed;
 
-  bool felt = false;
-  columns_.assign(6 * at(m), 0.0);
-  for (int i = 0; i < m; ++i)
-    if (const Vec6* jacobian = rows[i].jacobian_of(index)) {
-      felt = true;
-      for (int c = 0; c < 6; ++c) columns_[at(c) * at(m) + at(i)] = (*jacobian)[c];
-    }
+  const auto found = std::find(felt_.begin(), felt_.end(), tool);
+  const bool felt = found != felt_.end();
+  const int own = 6 * static_cast<int>(found - felt_.begin());
   chosen_.clear();
   problem.frozen_rows = 0;
   if (felt) {
-    solver.condense(columns_.data(), 6, half_, condensed_);
-    const auto bounded = solver.bounded();
-    const auto gap = solver.gap_m();
-    // Rows with two finite bounds are slipping: their force is constant, they cannot switch.
-    for (int u = 0; u < static_cast<int>(bounded.size()); ++u)
-      if (rows[bounded[at(u)]].bounds.lower_n == 0.0) chosen_.push_back(u);
-    if (static_cast<int>(chosen_.size()) > CondensedProblem::kRowsMax) {
-      // The rows farthest from switching stay as they are.
-      std::nth_element(chosen_.begin(), chosen_.begin() + CondensedProblem::kRowsMax, chosen_.end(),
-                       [&](int a, int b) {
-                         const auto margin = [&](int u) {
-                           const int i = bounded[at(u)];
-                           return lambda[at(i)] > 0.0
-                                      ? lambda[at(i)] * solver.condensed_compliance(u, u)
-                                      : gap[at(i)];
-                         };
-                         return margin(a) < margin(b);
-                       });
-      problem.frozen_rows = static_cast<int>(chosen_.size()) - CondensedProblem::kRowsMax;
-      chosen_.resize(CondensedProblem::kRowsMax);
-      std::sort(chosen_.begin(), chosen_.end());
-    }
+    choose(own);
+    problem.frozen_rows = static_cast<int>(candidates_.size() - chosen_.size());
+    extract();
   }
-  const int nb = static_cast<int>(solver.bilateral().size()),
-            nu = static_cast<int>(solver.bounded().size());
-  const int mh = static_cast<int>(chosen_.size());
+  const int mh = static_cast<int>(chosen_.size()), n = mh + columns_;
   problem.compliance_m_per_n.resize(mh, mh);
   problem.jacobian.resize(mh, 6);
   problem.offset_m.resize(mh);
@@ -80,89 +266,80 @@ void ResponseBuilder::build(const constraints::ConstraintRows& rows,
   problem.multiplier_max_n.resize(mh);
   if (!felt) return;
 
-  for (int i = 0; i < 6; ++i)
-    for (int j = 0; j < 6; ++j)
-      response.bilateral_stiffness(i, j) =
-          dot(half_.data() + at(i) * at(nb), half_.data() + at(j) * at(nb), nb);
-  for (int a = 0; a < mh; ++a) {
-    const int row = solver.bounded()[at(chosen_[at(a)])];
-    for (int c = 0; c < 6; ++c)
-      problem.jacobian(a, c) = condensed_[at(c) * at(nu) + at(chosen_[at(a)])];
-    for (int b = 0; b < mh; ++b)
-      problem.compliance_m_per_n(a, b) =
-          solver.condensed_compliance(chosen_[at(a)], chosen_[at(b)]);
-    problem.multiplier_n[a] = lambda[at(row)];
-    problem.multiplier_max_n[a] = rows[row].bounds.upper_n;
+  const auto entry = [&](int i, int j) {
+    return own_[at(std::min(i, j)) * at(n) + at(std::max(i, j))];
+  };
+  for (int i = 0; i < mh; ++i)
+    for (int j = 0; j < mh; ++j) problem.compliance_m_per_n(i, j) = entry(i, j);
+  const auto take = [&](int columns, Mat6& stiffness, auto& jacobian) {
+    jacobian.resize(mh, 6);
+    for (int c = 0; c < 6; ++c) {
+      for (int i = 0; i < 6; ++i) stiffness(i, c) = -entry(mh + own + i, mh + columns + c);
+      for (int i = 0; i < mh; ++i) jacobian(i, c) = entry(i, mh + columns + c);
+    }
+  };
+  take(own, response.bilateral_stiffness, problem.jacobian);
+  for (int f = 0; 6 * f < columns_; ++f) {
+    if (6 * f == own || response.other_count == ToolResponse::kOthersMax) continue;
+    ToolCoupling& other = response.others[at(response.other_count++)];
+    other.tool = felt_[at(f)];
+    other.reference = tools_[at(other.tool)].input();
+    take(6 * f, other.stiffness, other.jacobian);
   }
 
-  for (int n = 0; n < static_cast<int>(needles.size()); ++n) {
-    const NeedleBody& needle = needles[at(n)];
-    if (!needle.slides_freely()) continue;
-    slide_.assign(at(m), 0.0);
-    double friction = 0.0;
-    for (int i = 0; i < m; ++i)
-      if (rows[i].needle == n) {
-        slide_[at(i)] = rows[i].slide;
-        friction -= rows[i].slide * lambda[at(i)];
-      }
-    solver.condense(slide_.data(), 1, slide_half_, slide_condensed_);
-    const double kappa = dot(slide_half_.data(), slide_half_.data(), nb);
-    if (kappa <= 0.0) continue;
-    Vec6 a;
-    for (int c = 0; c < 6; ++c) a[c] = dot(half_.data() + at(c) * at(nb), slide_half_.data(), nb);
-    response.bilateral_stiffness -= a * a.transpose() / kappa;
-    for (int i = 0; i < mh; ++i) {
-      const double ki = slide_condensed_[at(chosen_[at(i)])];
-      problem.jacobian.row(i) -= (ki / kappa) * a.transpose();
-      for (int j = 0; j < mh; ++j)
-        problem.compliance_m_per_n(i, j) += ki * slide_condensed_[at(chosen_[at(j)])] / kappa;
-    }
-    if (tool.needle() != n) continue;
+  for (std::size_t s = 0; s < slide_count_; ++s) {
+    const Slide& slide = slides_[s];
+    if (body.needle() != slide.needle || slide.stiffness <= 0.0) continue;
+    const NeedleBody& needle = needles_[at(slide.needle)];
     const Vec6 twist = needle.curve().slide_twist(needle.pose());
-    response.slide_twist.tail<3>() = twist.tail<3>();
     const Vec3 arm = response.reference.position_m - needle.pose().position_m;
+    response.slide_twist.tail<3>() = twist.tail<3>();
     response.slide_twist.head<3>() = twist.head<3>() + Vec3(twist.tail<3>()).cross(arm);
-    response.slide_gradient = -a / kappa;
-    response.slide_stiffness = kappa;
-    response.slide_friction_n = -friction;
+    for (int c = 0; c < 6; ++c) response.slide_gradient[c] = slide.gradient[at(own + c)];
+    response.slide_stiffness = slide.stiffness;
+    for (int i = 0; i < rows_->size(); ++i)
+      if ((*rows_)[i].needle == slide.needle)
+        response.slide_friction_n += (*rows_)[i].slide * lambda_[at(i)];
   }
 
   // The rows that carry force now, with their part of the stiffness: A = A₀ + Ĵ_Fᵀ S_FF⁻¹ Ĵ_F.
   response.stiffness = response.bilateral_stiffness;
   int nf = 0;
-  std::array<int, CondensedProblem::kRowsMax> free;
+  std::array<int, CondensedProblem::kRowsMax> in_force;
   for (int i = 0; i < mh; ++i)
-    if (problem.multiplier_n[i] > 0.0 && problem.multiplier_n[i] < problem.multiplier_max_n[i])
-      free[at(nf++)] = i;
-  if (nf > 0) {
-    half_.resize(at(nf) * at(nf));
-    columns_.resize(6 * at(nf));
-    for (int j = 0; j < nf; ++j) {
-      for (int i = j; i < nf; ++i)
-        half_[at(j) * at(nf) + at(i)] = problem.compliance_m_per_n(free[at(i)], free[at(j)]);
-      for (int c = 0; c < 6; ++c)
-        columns_[at(c) * at(nf) + at(j)] = problem.jacobian(free[at(j)], c);
-    }
-    if (blas::cholesky(nf, half_.data(), nf)) {
-      blas::forward(nf, half_.data(), nf, columns_.data(), 6, nf);
-      for (int i = 0; i < 6; ++i)
-        for (int j = 0; j < 6; ++j)
-          response.stiffness(i, j) += dot(&columns_[at(i) * at(nf)], &columns_[at(j) * at(nf)], nf);
-    }
+    if (chosen_[at(i)].in_force()) in_force[at(nf++)] = i;
+  factor_.resize(at(nf) * at(nf));
+  right_.resize(6 * at(nf));
+  for (int j = 0; j < nf; ++j) {
+    for (int i = j; i < nf; ++i)
+      factor_[at(j) * at(nf) + at(i)] = entry(in_force[at(i)], in_force[at(j)]);
+    for (int c = 0; c < 6; ++c)
+      right_[at(c) * at(nf) + at(j)] = problem.jacobian(in_force[at(j)], c);
+  }
+  if (nf > 0 && blas::cholesky(nf, factor_.data(), nf)) {
+    blas::forward(nf, factor_.data(), nf, right_.data(), 6, nf);
+    for (int i = 0; i < 6; ++i)
+      for (int j = 0; j < 6; ++j)
+        for (int k = 0; k < nf; ++k)
+          response.stiffness(i, j) +=
+              right_[at(i) * at(nf) + at(k)] * right_[at(j) * at(nf) + at(k)];
   }
 
   // Offsets that reproduce the solved state at ξ = 0: gap = S λ − q, w = w₀ − Ĵᵀ λ.
-  const auto gap = solver.gap_m();
   for (int i = 0; i < mh; ++i) {
-    double q = -gap[at(solver.bounded()[at(chosen_[at(i)])])];
+    problem.multiplier_n[i] = chosen_[at(i)].multiplier_n;
+    problem.multiplier_max_n[i] = chosen_[at(i)].multiplier_max_n;
+  }
+  for (int i = 0; i < mh; ++i) {
+    double q = -chosen_[at(i)].gap_m;
     for (int j = 0; j < mh; ++j) q += problem.compliance_m_per_n(i, j) * problem.multiplier_n[j];
     problem.offset_m[i] = q;
     response.bilateral_wrench += problem.multiplier_n[i] * problem.jacobian.row(i).transpose();
   }
 
   // The paper's slide instead: P = I − s Sᵀ, not symmetric, kept for comparison.
-  if (tool.needle() >= 0 && needles[at(tool.needle())].least_squares()) {
-    const NeedleBody& needle = needles[at(tool.needle())];
+  if (body.needle() >= 0 && needles_[at(body.needle())].least_squares()) {
+    const NeedleBody& needle = needles_[at(body.needle())];
     const Vec6 gradient = needle.least_squares_gradient(response.reference.position_m);
     const Vec6 twist = needle.curve().slide_twist(needle.pose());
     Vec6 s = twist;

@@ -314,9 +314,8 @@ struct Simulation::State {
     bool changed = false;
     for (const NeedleBody& needle : needles) changed = changed || needle.world_changed();
     for (const ThreadBody& thread : threads) changed = changed || thread.world_changed();
+    response_builder.build(rows, solver, lambda, needles, tools, responses);
     for (std::size_t i = 0; i < tools.size(); ++i) {
-      response_builder.build(rows, solver, lambda, needles, tools[i], static_cast<int>(i),
-                             responses[i]);
       responses[i].world_changed = responses[i].world_changed || changed;
       responses[i].held = tools[i].held(tissue);
       report.contacts += tools[i].contacts();

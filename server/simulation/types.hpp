@@ -5,6 +5,7 @@
 #pragma once
 
 #include <Eigen/Geometry>
+#include <array>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -49,7 +50,17 @@ struct CondensedProblem {
   Vector offset_m;                                                                  ///< q
   Vector multiplier_n;      ///< λ at ξ = 0
   Vector multiplier_max_n;  ///< λ_max, +inf where unbounded
-  int frozen_rows = 0;      ///< rows beyond kRowsMax, farthest from switching, kept as they are
+  int frozen_rows = 0;      ///< rows beyond kRowsMax, farthest from switching, kept on their side
+};
+
+/// How a tool's response depends on the small motion ξ_b of another one since its own reference:
+///
+///     w −= stiffness ξ_b,   gap −= jacobian ξ_b
+struct ToolCoupling {
+  int tool = -1;        ///< index of the other one
+  ToolInput reference;  ///< its pose in this step
+  Mat6 stiffness = Mat6::Zero();
+  Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::ColMajor, CondensedProblem::kRowsMax, 6> jacobian;
 };
 
 /// What a tool feels, and how that changes with its small motion ξ since `reference`:
@@ -65,8 +76,11 @@ struct ToolResponse {
   Vec6 bilateral_wrench = Vec6::Zero();     ///< w_0: with every row of `condensed` at λ = 0
   Mat6 bilateral_stiffness = Mat6::Zero();  ///< A_0
   CondensedProblem condensed;
-  Vec6 slide_twist = Vec6::Zero();  ///< s, unit slide of the needle held; zero if none
-  double slide_friction_n = 0.0;    ///< f along s
+  static constexpr int kOthersMax = 7;
+  int other_count = 0;
+  std::array<ToolCoupling, kOthersMax> others;  ///< tools that are felt through tissue or needle
+  Vec6 slide_twist = Vec6::Zero();              ///< s, unit slide of the needle held; zero if none
+  double slide_friction_n = 0.0;                ///< f along s
   Vec6 slide_gradient =
       Vec6::Zero();              ///< g = A s / κ of A before the slide's removal: P = I − s gᵀ
   double slide_stiffness = 0.0;  ///< κ = sᵀ A s of the same; zero: nothing slides

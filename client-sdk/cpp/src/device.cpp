@@ -141,6 +141,7 @@ struct Device::State {
   void tell_rendered(const Force& force, std::int64_t now_ns) noexcept;
   void receive() noexcept;         // receive thread
   void receive_models() noexcept;  // receive thread
+  void receive_poses() noexcept;   // receive thread: of other tools
   /// Counts a force; returns false for one that a newer force has overtaken on its way, to be
   /// dropped.
   bool account(const Force& force) noexcept;  // receive thread
@@ -172,7 +173,7 @@ struct Device::State {
 
   // The caller's.
   ForceGuard guard;
-  std::unique_ptr<ModelRenderer> renderer;  // once the device has rendered; 70 kB
+  std::unique_ptr<ModelRenderer> renderer;  // once the device has rendered; 150 kB
   Render wanted = Render::kServer, shown_by = Render::kServer;
   Force last;                // handed out
   std::int64_t last_ns = 0;  // when
@@ -195,6 +196,7 @@ struct Device::State {
   Writer<v1::ToolRendered> rendered_writer;
   Reader<v1::ToolForce> reader;
   Reader<v1::HapticModel> model_reader;
+  Reader<v1::ToolPose> pose_reader;
 };
 
 void Device::State::connect() {
@@ -286,8 +288,12 @@ void Device::State::listen_to_models() {
     const std::lock_guard lock(policy_mutex);
     policy = name;
   };
+  EndpointCallbacks from_poses;
+  from_poses.data_available = [this] { receive_poses(); };
+  from_poses.incompatible_qos = from_models.incompatible_qos;
   models_ready.store(false, std::memory_order_release);
   model_reader = Reader<v1::HapticModel>(participant, std::move(from_models));
+  pose_reader = Reader<v1::ToolPose>(participant, std::move(from_poses));
   models_ready.store(true, std::memory_order_release);
 }
 
@@ -297,7 +303,11 @@ void Device::State::receive() noexcept {
   v1::ToolForce wire;
   SampleInfo info;
   while (reader.take(wire, info)) {
-    if (!info.valid || wire.tool_id != id) continue;
+    if (!info.valid) continue;
+    if (wire.tool_id != id) {
+      if (models_ready.load(std::memory_order_acquire)) renderer->others().receive(wire);
+      continue;
+    }
     const Guid device = guid_of(wire.device);
     if (device != writer.guid()) {
       if (device != kNobody) foreign_ns.store(monotonic_ns(), std::memory_order_relaxed);
@@ -318,9 +328,21 @@ void Device::State::receive_models() noexcept {
   // As above; the models to come bring this one along.
   if (!models_ready.load(std::memory_order_acquire)) return;
   model_reader.take_each([&](const v1::HapticModel& wire, const SampleInfo& info) {
-    if (!info.valid || text_of(wire.tool) != options.tool) return;
+    if (!info.valid) return;
+    if (text_of(wire.tool) != options.tool) {
+      renderer->others().receive(wire);
+      return;
+    }
     if (guid_of(wire.device) == writer.guid()) renderer->receive(wire, monotonic_ns());
   });
+}
+
+void Device::State::receive_poses() noexcept {
+  if (!models_ready.load(std::memory_order_acquire)) return;
+  v1::ToolPose wire;
+  SampleInfo info;
+  while (pose_reader.take(wire, info))
+    if (info.valid && wire.tool_id != id) renderer->others().receive(wire);
 }
 
 bool Device::State::account(const Force& force) noexcept {

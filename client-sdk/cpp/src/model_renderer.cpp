@@ -47,17 +47,6 @@ Quaternion quaternion_of(const double (&wire)[4]) noexcept {
 }
 
 // Both maps are those of idl/suture_v1.idl, Mapping.
-Pose to_world(const v1::Mapping& mapping, const Hand& hand) noexcept {
-  if (hand.in_world) return {hand.position_m, hand.orientation_xyzw};
-  const Quaternion turn = quaternion_of(mapping.orientation_xyzw);
-  Pose pose;
-  pose.position_m = rotated(turn, scaled(mapping.motion_scale, hand.position_m));
-  for (std::size_t i = 0; i < 3; ++i) pose.position_m[i] += mapping.position_m[i];
-  pose.orientation_xyzw =
-      product(product(turn, hand.orientation_xyzw), quaternion_of(mapping.tool_orientation_xyzw));
-  return pose;
-}
-
 Wrench to_hand(const v1::Mapping& mapping, const Hand& hand, const Wrench& world) noexcept {
   if (hand.in_world) return world;
   Quaternion back = quaternion_of(mapping.orientation_xyzw);
@@ -72,6 +61,17 @@ bool is_rotation(const double (&q)[4]) noexcept {
 }
 
 }  // namespace
+
+Pose to_world(const v1::Mapping& mapping, const Hand& hand) noexcept {
+  if (hand.in_world) return {hand.position_m, hand.orientation_xyzw};
+  const Quaternion turn = quaternion_of(mapping.orientation_xyzw);
+  Pose pose;
+  pose.position_m = rotated(turn, scaled(mapping.motion_scale, hand.position_m));
+  for (std::size_t i = 0; i < 3; ++i) pose.position_m[i] += mapping.position_m[i];
+  pose.orientation_xyzw =
+      product(product(turn, hand.orientation_xyzw), quaternion_of(mapping.tool_orientation_xyzw));
+  return pose;
+}
 
 bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const DeviceLimits& device,
                    ReceivedModel& received) noexcept {
@@ -118,6 +118,20 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
   take(wire.offset_m, model.offset_m.data());
   take(wire.multiplier_n, model.multiplier_n.data());
   take(wire.multiplier_max_n, model.multiplier_max_n.data());
+
+  const auto others = span_of(wire.others);
+  if (others.size() > kModelOthersMax) return false;
+  model.other_count = static_cast<std::int32_t>(others.size());
+  for (std::size_t k = 0; k < others.size(); ++k) {
+    const v1::ToolCoupling& from = others[k];
+    if (from.jacobian._length != 6 * rows || !is_rotation(from.orientation_xyzw)) return false;
+    received.others[k] = tool_id(text_of(from.tool));
+    model.others[k].tool = static_cast<std::int32_t>(k);
+    copy(from.position_m, model.others[k].reference.position_m);
+    copy(from.orientation_xyzw, model.others[k].reference.orientation_xyzw);
+    copy(from.stiffness, model.others[k].stiffness);
+    take(from.jacobian, model.others[k].jacobian[0].data());
+  }
 
   received.mapping = wire.mapping;
   received.blend_ns = wire.blend_ns;
@@ -187,7 +201,13 @@ Wrench ModelRenderer::model_wrench(std::int64_t now_ns) noexcept {
   const auto evaluate_front = [&] {
     const ReceivedModel& front = models_.front();
     if (front.arrived_ns == 0) return Wrench{};
-    return evaluator_.evaluate(front.model, to_world(front.mapping, hand_));
+    std::array<Pose, kModelOthersMax> others;
+    for (int k = 0; k < front.model.other_count; ++k) {
+      const auto i = static_cast<std::size_t>(k);
+      others[i] = others_.pose(front.others[i], front.model.others[i].reference);
+    }
+    return evaluator_.evaluate(front.model, to_world(front.mapping, hand_),
+                               {others.data(), static_cast<std::size_t>(front.model.other_count)});
   };
   if (!models_.pending()) return blend_.apply(evaluate_front(), now_ns);
   const Wrench shown = blend_.apply(evaluate_front(), now_ns);

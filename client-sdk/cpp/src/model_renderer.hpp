@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstdint>
 
+#include "other_tools.hpp"
 #include "protocol/energy_observer.hpp"
 #include "protocol/force_shaping.hpp"
 #include "protocol/haptic_model.hpp"
@@ -22,8 +24,12 @@ struct ReceivedModel {
   std::int64_t stale_after_ns = 0, zero_after_ns = 0;  ///< of age
   bool engaged = false;
   bool stopped = false;
-  std::int64_t arrived_ns = 0;  ///< monotonic; 0: none has come
+  std::int64_t arrived_ns = 0;                          ///< monotonic; 0: none has come
+  std::array<std::uint64_t, kModelOthersMax> others{};  ///< `tool_id` of each of `model.others`
 };
+
+/// Where `hand` is in the world under `mapping`.
+[[nodiscard]] Pose to_world(const v1::Mapping& mapping, const Hand& hand) noexcept;
 
 /// Fills `received` from the wire; false, with `received` in an unspecified state, where
 /// sizes do not fit together or the reference is no pose. The model is coupled to what `device`
@@ -54,6 +60,8 @@ class ModelRenderer {
 
   /// Takes a model in; one that does not hold together is dropped.
   void receive(const v1::HapticModel& wire, std::int64_t now_ns) noexcept;
+  /// The other tools, which are felt through the tissue: to be told what arrives of them.
+  [[nodiscard]] OtherTools& others() noexcept { return others_; }
 
   /// Returns the force now for `hand`, which was measured at `taken_ns`. `server` is the last
   /// word of the server on this tool: its state and faults pass through. `stop`: hold the force
@@ -84,6 +92,7 @@ class ModelRenderer {
   double max_speed_m_per_s_;
   std::int64_t hand_stale_ns_;
   Snapshot<ReceivedModel> models_;
+  OtherTools others_;
 
   // The renderer's.
   ModelEvaluator evaluator_;

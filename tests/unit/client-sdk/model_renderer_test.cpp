@@ -6,6 +6,8 @@
 
 #include <cmath>
 #include <limits>
+#include <memory>
+#include <span>
 #include <vector>
 
 #include "support/heap_guard.hpp"
@@ -98,6 +100,7 @@ TEST_F(ModelRendererTest, MapsAndScalesADeviceFrame) {
   wire_.mapping.orientation_xyzw[2] = wire_.mapping.orientation_xyzw[3] = std::sqrt(0.5);
   wire_.mapping.motion_scale = 0.5;
   wire_.mapping.force_scale = 2.0;
+  wire_.reference_orientation_xyzw[2] = wire_.reference_orientation_xyzw[3] = std::sqrt(0.5);
   wire_.stiffness[0] = wire_.bilateral_stiffness[0] = 0.0;  // nothing along the world's x
   const Force force = settle(hand_at(0.02, false));
   EXPECT_NEAR(force.force_n[0], -2.0, 1e-12);  // 0.5 × 0.02 m × 100 N/m × 2
@@ -336,6 +339,105 @@ TEST_F(ModelRendererTest, EndsAForceThatGivesMoreEnergyThanItTook) {
   EXPECT_EQ(last, 0.0);
   settle(hand_at(0.005));
   EXPECT_EQ(renderer_.faults(), 0U) << "a hand at rest gets it back";
+}
+
+/// The assistant, felt by 40 N/m along x from where the model's step had it: at the origin.
+class TwoTools : public ModelRendererTest {
+ protected:
+  TwoTools() {
+    set_text(coupling_.tool, "assistant");
+    coupling_.orientation_xyzw[3] = 1.0;
+    coupling_.stiffness[0] = 40.0;
+    lend(wire_.others, std::span<const v1::ToolCoupling>(&coupling_, 1));
+  }
+  void assistant_model(double offset_m, std::uint64_t used_pose) {
+    v1::HapticModel model = spring(0.0, used_pose);
+    set_text(model.tool, "assistant");
+    model.pose_sequence = used_pose;
+    model.mapping.position_m[0] = offset_m;
+    model.mapping.motion_scale = 0.5;
+    renderer_.others().receive(model);
+  }
+  void assistant_force(bool follows, std::uint64_t answered) {
+    v1::ToolForce force{};
+    force.tool_id = tool_id("assistant");
+    force.pose_sequence = answered;
+    if (follows) force.flags = suture_v1_FORCE_ENGAGED;
+    renderer_.others().receive(force);
+  }
+  void assistant_hand(double x_m) {
+    v1::ToolPose pose{};
+    pose.tool_id = tool_id("assistant");
+    pose.position_m[0] = x_m;
+    pose.orientation_xyzw[3] = 1.0;
+    renderer_.others().receive(pose);
+  }
+  double force_n() {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    return render(hand_at(0.01), rendering(), now_ns_).force_n[0];
+  }
+
+  v1::ToolCoupling coupling_{};
+};
+
+TEST_F(TwoTools, FeelsTheOtherThroughItsMapping) {
+  settle(hand_at(0.01));
+  EXPECT_NEAR(force_n(), -1.0, 1e-12);  // nothing is known of it: it stands at its reference
+  assistant_force(true, 5);
+  assistant_model(0.001, 5);
+  assistant_hand(0.004);  // in its device; 1 mm + 0.5 × 4 mm in the world
+  EXPECT_NEAR(force_n(), -1.0 - 40.0 * 0.003, 1e-12);
+  EXPECT_NEAR(force_n(), -1.0 - 40.0 * 0.003, 1e-12) << "silent, it stays where it was";
+}
+
+TEST_F(TwoTools, DoesNotFollowTheHandOfAToolThatStands) {
+  settle(hand_at(0.01));
+  assistant_force(true, 5);
+  assistant_model(0.0, 5);
+  assistant_hand(0.002);
+  EXPECT_NEAR(force_n(), -1.0 - 40.0 * 0.001, 1e-12);
+  assistant_force(false, 6);  // the clutch
+  assistant_hand(0.2);
+  EXPECT_NEAR(force_n(), -1.0 - 40.0 * 0.001, 1e-12);
+  assistant_force(true, 7);  // let go, but the mapping that goes with it has not come
+  assistant_hand(0.2);
+  EXPECT_NEAR(force_n(), -1.0 - 40.0 * 0.001, 1e-12);
+  assistant_model(-0.099, 7);
+  assistant_hand(0.2);
+  EXPECT_NEAR(force_n(), -1.0 - 40.0 * 0.001, 1e-12);
+}
+
+TEST_F(TwoTools, DropsACouplingThatDoesNotFitItsModel) {
+  const auto received = std::make_unique<ReceivedModel>();
+  EXPECT_TRUE(receive_model(wire_, 1, {}, *received));
+  EXPECT_EQ(received->model.other_count, 1);
+  EXPECT_EQ(received->others[0], tool_id("assistant"));
+  const std::vector<double> stray(6);
+  lend(coupling_.jacobian, std::span<const double>(stray));
+  EXPECT_FALSE(receive_model(wire_, 1, {}, *received));
+}
+
+TEST_F(ModelRendererTest, TakesLongerOverAChangeOfTheWorldThanOverASwap) {
+  const auto largest_step_n = [this](bool changed, double towards_n) {
+    double last = settle(hand_at(0.01)).force_n[0], largest = 0.0;
+    wire_.bilateral_wrench[0] = towards_n;
+    ++wire_.sequence_number;
+    if (changed) wire_.flags |= suture_v1_MODEL_WORLD_CHANGED;
+    renderer_.receive(wire_, now_ns_);
+    wire_.flags &= ~static_cast<std::uint32_t>(suture_v1_MODEL_WORLD_CHANGED);
+    for (int i = 0; i < 40; ++i) {
+      now_ns_ += kMs;
+      const double now = render(hand_at(0.01), rendering(), now_ns_).force_n[0];
+      largest = std::max(largest, std::abs(now - last));
+      last = now;
+    }
+    EXPECT_NEAR(last, -1.0 + towards_n, 1e-12);
+    return largest;
+  };
+  const double at_a_swap = largest_step_n(false, 0.5), at_a_change = largest_step_n(true, 0.0);
+  // A smoothstep over 4 and 30 ms is at most 1.5 times as steep as its mean.
+  EXPECT_LE(at_a_swap, 0.5 * 1.5 / 4.0 + 1e-9);
+  EXPECT_LE(at_a_change, 0.5 * 1.5 / 30.0 + 1e-9);
 }
 
 TEST_F(ModelRendererTest, NeitherAllocatesNorLocks) {

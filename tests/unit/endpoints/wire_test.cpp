@@ -71,7 +71,9 @@ TEST(SetModel, LendsExactlyTheRowsInUse) {
   model.jacobian[2][5] = 7.0;
   model.compliance_m_per_n[suture::packed_index(2, 2)] = 8.0;
   suture::v1::HapticModel wire{};
-  set_model(wire, *published, {.max_force_n = 2.0});
+  std::array<suture::v1::ToolCoupling, suture::kModelOthersMax> couplings{};
+  set_model(wire, *published, {.max_force_n = 2.0}, {}, couplings);
+  EXPECT_EQ(wire.others._length, 0U);
   ASSERT_EQ(wire.compliance_m_per_n._length, 6U);
   ASSERT_EQ(wire.jacobian._length, 18U);
   ASSERT_EQ(wire.offset_m._length, 3U);
@@ -82,6 +84,29 @@ TEST(SetModel, LendsExactlyTheRowsInUse) {
   EXPECT_EQ(wire.max_force_n, 2.0);
   EXPECT_EQ(wire.blend_ns, 4'000'000);
   EXPECT_EQ(wire.mapping.motion_scale, 1.0);
+}
+
+TEST(SetModel, NamesTheToolsThatItIsCoupledTo) {
+  const auto published = std::make_unique<haptics::PublishedModel>();
+  suture::HapticModel& model = published->model;
+  model.rows = 2;
+  model.other_count = 1;
+  model.others[0].tool = 1;
+  model.others[0].reference.position_m = {1, 2, 3};
+  model.others[0].stiffness[7] = 4.0;
+  model.others[0].jacobian[1][5] = 5.0;
+  const std::vector<std::string> names = {"driver", "assistant"};
+  std::array<suture::v1::ToolCoupling, suture::kModelOthersMax> couplings{};
+  suture::v1::HapticModel wire{};
+  set_model(wire, *published, {}, names, couplings);
+  ASSERT_EQ(wire.others._length, 1U);
+  const suture::v1::ToolCoupling& other = suture::span_of(wire.others)[0];
+  EXPECT_EQ(suture::text_of(other.tool), "assistant");
+  EXPECT_EQ(other.position_m[2], 3.0);
+  EXPECT_EQ(other.orientation_xyzw[3], 1.0);
+  EXPECT_EQ(other.stiffness[7], 4.0);
+  ASSERT_EQ(other.jacobian._length, 12U);
+  EXPECT_EQ(suture::span_of(other.jacobian)[11], 5.0);
 }
 
 TEST(SetEvent, NamesEveryKindOfTheSimulation) {

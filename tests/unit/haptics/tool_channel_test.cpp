@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -44,6 +45,7 @@ class Rig {
   std::uint64_t epoch = 1;
   bool world_changed = false;
   std::function<void(PoseSample&)> spoil;
+  std::function<void(suture::HapticModel&)> couple;
 
   void run(std::int64_t milliseconds) {
     for (std::int64_t i = 0; i < milliseconds; ++i) {
@@ -67,6 +69,7 @@ class Rig {
     model.bilateral_wrench.force_n[0] =
         -kWall_n_per_m * target.pose.position_m[0] + wrench_offset_n;
     for (int i = 0; i < 3; ++i) model.bilateral_stiffness[7 * i] = kWall_n_per_m;
+    if (couple) couple(model);
     suture::complete_model(model);
     channel_.publish_model(model, now, now);
   }
@@ -363,6 +366,77 @@ TEST(ToolChannel, LeavesNoStepAtASwapOfModels) {
   rig.world_changed = false;
   rig.run(30);
   EXPECT_LT(rig.largest_step_n, 0.1 * 0.4);
+}
+
+TEST(ToolChannel, TakesLongerOverAChangeOfTheWorldThanOverASwap) {
+  // The largest step that half a newton makes in a millisecond: 15 ms against 4.
+  const auto step_of = [](bool changed) {
+    Rig rig;
+    rig.engage();
+    rig.largest_step_n = 0.0;
+    rig.world_changed = changed;
+    rig.wrench_offset_n = 0.5;
+    rig.run(4);
+    rig.world_changed = false;
+    rig.run(30);
+    EXPECT_NEAR(rig.force_n(), 1.0, 1e-9);
+    return rig.largest_step_n;
+  };
+  const double at_a_swap = step_of(false), at_a_change = step_of(true);
+  // A smoothstep is at most 1.5 times as steep as its mean; ticks are half a millisecond apart.
+  EXPECT_LE(at_a_swap, 0.5 * 1.5 / 4.0 + 1e-9);
+  EXPECT_LE(at_a_change, 0.5 * 1.5 / 15.0 + 1e-9);
+  EXPECT_GT(at_a_swap, 2.0 * at_a_change);
+}
+
+/// Two tools of one scene, each with a model that feels the other by 40 N/m.
+TEST(ToolChannel, FeelsWhereTheOtherToolIsNow) {
+  PoseBoard board(2);
+  Rig here, there;
+  here.channel().join(board, 0);
+  there.channel().join(board, 1);
+  here.couple = [](suture::HapticModel& model) {
+    model.other_count = 1;
+    model.others[0].tool = 1;
+    model.others[0].reference.position_m = {-0.005, 0.0, 0.0};
+    model.others[0].stiffness[0] = 40.0;
+  };
+  here.engage();  // the other one was never anywhere: it counts as at its reference
+  there.run(300);
+  EXPECT_NEAR(here.force_n(), 0.5, 1e-9);
+  there.hand.position_m[0] += 1e-3;
+  there.run(1);
+  here.run(1);
+  EXPECT_NEAR(here.last.wrench.force_n[0], 0.5 - 40.0 * 1e-3, 1e-9);
+  // Silent, it stays where it was.
+  here.run(100);
+  EXPECT_NEAR(here.last.wrench.force_n[0], 0.5 - 40.0 * 1e-3, 1e-9);
+}
+
+/// Under the thread sanitizer: every reader and writer of a board at once.
+TEST(PoseBoard, IsReadWhileItIsWritten) {
+  constexpr std::size_t kTools = 3;
+  constexpr int kRounds = 20'000;
+  PoseBoard board(kTools);
+  EXPECT_EQ(board.pose(1, 0), nullptr);
+  std::atomic<int> torn{0};
+  std::vector<std::thread> threads;
+  for (std::size_t tool = 0; tool < kTools; ++tool)
+    threads.emplace_back([&board, &torn, tool] {
+      for (int i = 1; i <= kRounds; ++i) {
+        const double x = i;
+        board.publish(tool, {{x, x, x}, {0, 0, 0, 1}});
+        for (std::size_t other = 0; other < kTools; ++other) {
+          if (other == tool) continue;
+          const suture::Pose* pose = board.pose(other, tool);
+          if (pose != nullptr && pose->position_m[0] != pose->position_m[2]) ++torn;
+        }
+      }
+    });
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_EQ(torn.load(), 0);
+  ASSERT_NE(board.pose(1, 0), nullptr);
+  EXPECT_EQ(board.pose(1, 0)->position_m[0], kRounds);
 }
 
 TEST(ToolChannel, FollowsTheHandWithoutLag) {

@@ -152,9 +152,19 @@ Eigen::VectorXd solve_by_enumeration(const HapticModel& model, const Vec6& xi) {
   return best;
 }
 
-Pose moved(const Vec6& xi) { return pose_of(xi.head<3>(), rotation(xi.tail<3>())); }
+/// How far the screw `xi` takes the origin in a unit of time: V(θ) t, by its power series.
+Vec3 way_of(const Vec6& xi) {
+  Vec3 term = xi.head<3>(), sum = term;
+  for (int k = 2; k < 40; ++k) {
+    term = xi.tail<3>().cross(term) / k;
+    sum += term;
+  }
+  return sum;
+}
 
-TEST(MotionBetween, InvertsTheExponentialOfARotation) {
+Pose moved(const Vec6& xi) { return pose_of(way_of(xi), rotation(xi.tail<3>())); }
+
+TEST(MotionBetween, InvertsTheExponentialOfAScrew) {
   RandomModels random(1);
   for (int i = 0; i < 200; ++i) {
     const Eigen::Quaterniond q = rotation(random.twist(0, 3.0).tail<3>());
@@ -162,8 +172,21 @@ TEST(MotionBetween, InvertsTheExponentialOfARotation) {
     // Below 3 / sqrt(3) per axis the rotation is shorter than π.
     const Vec6 xi = random.twist(0.05, i % 2 ? 1.7 : 1e-7);
     const Twist found =
-        motion_between(pose_of(p, q), pose_of(p + xi.head<3>(), rotation(xi.tail<3>()) * q));
-    for (int k = 0; k < 6; ++k) EXPECT_NEAR(found[k], xi[k], 1e-14 + 1e-9 * std::abs(xi[k]));
+        motion_between(pose_of(p, q), pose_of(p + way_of(xi), rotation(xi.tail<3>()) * q));
+    for (int k = 0; k < 6; ++k) EXPECT_NEAR(found[k], xi[k], 1e-13 + 1e-9 * std::abs(xi[k]));
+  }
+}
+
+TEST(MotionBetween, TakesATurnAboutADistantCentreForAMultipleOfItsTwist) {
+  // A tool on a needle's arc: 8 mm from the axis, along y, that it is turned about.
+  const Vec3 centre(0.011, 0.0, 0.002), axis = Vec3::UnitY(), start(0.003, 0.001, 0.002);
+  for (const double angle : {1e-6, 0.01, 0.3, 1.2, -2.5}) {
+    const Eigen::Quaterniond turn = rotation(angle * axis);
+    const Twist xi = motion_between(pose_of(start, Eigen::Quaterniond::Identity()),
+                                    pose_of(centre + turn * (start - centre), turn));
+    const Vec3 expected = angle * axis.cross(start - centre);
+    for (int k = 0; k < 3; ++k) EXPECT_NEAR(xi[k], expected[k], 1e-15 + 1e-10 * std::abs(angle));
+    for (int k = 0; k < 3; ++k) EXPECT_NEAR(xi[3 + k], angle * axis[k], 1e-12);
   }
 }
 
@@ -204,6 +227,55 @@ TEST(HapticModel, SolvesItsComplementarityProblemLikeAnEnumerationOfAllSets) {
     }
   }
   EXPECT_GT(checked, 1150);  // of 1200 random leaps four changes of the set suffice for nearly all
+}
+
+TEST(HapticModel, MovesWithTheOtherToolsAsAProblemOfAllTheirMotionsDoes) {
+  RandomModels random(11);
+  int checked = 0;
+  for (int trial = 0; trial < 100; ++trial) {
+    HapticModel model = random.make(1 + trial % 6);
+    model.other_count = 1 + trial % kModelOthersMax;
+    std::vector<Pose> poses;
+    std::vector<Vec6> motions;
+    for (int k = 0; k < model.other_count; ++k) {
+      ModelCoupling& other = model.others[k];
+      other.reference = moved(random.twist(0.1, 1.0));
+      for (double& x : other.stiffness) x = random.twist(30.0, 0.0)[0];
+      for (Twist& row : other.jacobian)
+        for (int c = 0; c < 6; ++c) row[c] = random.twist(1.0, 0.01)[c];
+      motions.push_back(random.twist(5e-4, 0.0));
+      poses.push_back(other.reference);
+      for (int i = 0; i < 3; ++i) poses.back().position_m[i] += motions.back()[i];
+    }
+    const Vec6 xi = random.twist(1e-3, 0.0);
+    // The same with the others' motions put into q and w_0.
+    HapticModel alone = model;
+    alone.other_count = 0;
+    for (int k = 0; k < model.other_count; ++k) {
+      const ModelCoupling& other = model.others[k];
+      for (int j = 0; j < 6; ++j) {
+        for (int i = 0; i < 3; ++i) {
+          alone.bilateral_wrench.force_n[i] -= other.stiffness[6 * i + j] * motions[k][j];
+          alone.bilateral_wrench.torque_nm[i] -= other.stiffness[6 * (i + 3) + j] * motions[k][j];
+        }
+        for (int r = 0; r < model.rows; ++r)
+          alone.offset_m[r] += other.jacobian[r][j] * motions[k][j];
+      }
+    }
+    ModelEvaluator with, without;
+    const Vec6 found = vector_of(with.evaluate(model, moved(xi), poses));
+    const Vec6 expected = vector_of(without.evaluate(alone, moved(xi)));
+    if (with.fallbacks() + without.fallbacks() > 0) continue;
+    ++checked;
+    EXPECT_LT((found - expected).norm(), 1e-9 * (1.0 + expected.norm()));
+    // One that is not given stands where it was.
+    std::vector<Pose> still;
+    for (int k = 0; k < model.other_count; ++k) still.push_back(model.others[k].reference);
+    EXPECT_LT((vector_of(evaluate(model, moved(xi))) - vector_of(evaluate(model, moved(xi), still)))
+                  .norm(),
+              1e-12);
+  }
+  EXPECT_GT(checked, 90);
 }
 
 TEST(HapticModel, FollowsAHandThroughSixtyFourRowsWithoutRunningOutOfPivots) {
