@@ -44,17 +44,14 @@ void transport(const HapticModel& model, const Twist& xi, const Array3& bilatera
   const Array3 axis{model.slide_twist[0], model.slide_twist[1], model.slide_twist[2]};
   const Array3 spin{model.slide_twist[3], model.slide_twist[4], model.slide_twist[5]};
   const auto& m = model.arm_moment_nm;
-  // `bend` is the way that the origin's course bends off its tangent meanwhile.
-  const auto arms = [&](double slide, const Array3& bend) noexcept {
+  const auto arms = [&](double slide) noexcept {
     const Array3 carried{theta[0] - slide * spin[0], theta[1] - slide * spin[1],
                          theta[2] - slide * spin[2]};
     const double trace = m[0] + m[4] + m[8];
-    const Array3 left_behind =
-        cross({slide * axis[0] + bend[0], slide * axis[1] + bend[1], slide * axis[2] + bend[2]},
-              bilateral_force_n);
+    const Array3 left_behind = cross(axis, bilateral_force_n);
     Array3 torque;
     for (int i = 0; i < 3; ++i) {
-      torque[i] = -left_behind[i] - trace * carried[i];
+      torque[i] = -slide * left_behind[i] - trace * carried[i];
       for (int j = 0; j < 3; ++j) torque[i] += m[3 * i + j] * carried[j];
     }
     return torque;
@@ -64,7 +61,7 @@ void transport(const HapticModel& model, const Twist& xi, const Array3& bilatera
   if (model.slide_stiffness > 0.0) {
     slide = dot(model.slide_gradient, xi);
     const Array3 turned = cross(theta, axis), turned_spin = cross(theta, spin);
-    const Array3 torque = arms(slide, {});
+    const Array3 torque = arms(slide);
     double excess = 0.0;
     for (int i = 0; i < 3; ++i)
       excess += turned[i] * w.force_n[i] + turned_spin[i] * w.torque_nm[i] + spin[i] * torque[i];
@@ -74,9 +71,7 @@ void transport(const HapticModel& model, const Twist& xi, const Array3& bilatera
       w.torque_nm[i] -= model.slide_gradient[i + 3] * excess;
     }
   }
-  const Array3 round = cross(spin, axis);
-  const double half = 0.5 * slide * slide;
-  const Array3 torque = arms(slide, {half * round[0], half * round[1], half * round[2]});
+  const Array3 torque = arms(slide);
   for (int i = 0; i < 3; ++i) w.torque_nm[i] += torque[i];
 }
 

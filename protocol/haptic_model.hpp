@@ -134,8 +134,7 @@ class ModelEvaluator {
   ///
   ///     Δτ = Σ (θ' × r − σ s_t) × f = (M − tr(M) I) θ' − σ s_t × Σ f,   M = Σ r fᵀ
   ///
-  /// (forces that turn with the needle, arms that grow as it leaves its tissue behind; along an arc
-  /// the way σ s_t + ½ σ² s_θ × s_t of the origin bends),
+  /// (forces that turn with the needle, arms that grow as it leaves its tissue behind),
   /// and the needle slides on until the force along the present axis s + θ × s is again
   /// the friction:
   ///
