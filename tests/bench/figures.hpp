@@ -60,10 +60,15 @@ void measure_step(Figures& figures);
 void measure_closure(Figures& figures);
 void measure_tissue(Figures& figures);
 void measure_tick(Figures& figures);
+void measure_fidelity(Figures& figures);
 void measure_roundtrip(Figures& figures);
 
 /// Prints what `model = "outside"` and `"path"` of a thread give on three meshes.
 void study_thread_model();
+
+/// Prints how near rendered forces are to a full re-solve, and writes tables and
+/// curves to `folder`. Throws where it cannot.
+void study_fidelity(const std::string& folder);
 
 /// Answers every pose of a session with a force, without any thought, until it is killed.
 [[noreturn]] void echo(std::uint32_t domain, const std::string& session);

@@ -29,7 +29,8 @@ int main(int argc, char** argv) {
   std::vector<std::string> only;
   app.add_option("--out", out, "The file to write");
   app.add_option("--commit", commit, "What was built, for the record");
-  app.add_option("--only", only, "Measure these alone: step, closure, tissue, tick, roundtrip");
+  app.add_option("--only", only,
+                 "Measure these alone: step, closure, tissue, tick, fidelity, roundtrip");
   std::uint32_t echo_domain = 0;
   std::string session;
   auto* echo = app.add_option("--echo", echo_domain, "Be the bare echo in this DDS domain instead");
@@ -37,6 +38,10 @@ int main(int argc, char** argv) {
   bool thread_model = false;
   app.add_flag("--thread-model", thread_model,
                "Compare where a thread's tension acts instead: a table, no figures");
+  std::string fidelity;
+  app.add_option("--fidelity", fidelity,
+                 "Compare rendered forces with a full re-solve instead: a table, and curves into "
+                 "this folder");
   CLI11_PARSE(app, argc, argv);
 
   using Measure = void (*)(sutured::bench::Figures&);
@@ -45,12 +50,17 @@ int main(int argc, char** argv) {
       {"closure", sutured::bench::measure_closure},
       {"tissue", sutured::bench::measure_tissue},
       {"tick", sutured::bench::measure_tick},
+      {"fidelity", sutured::bench::measure_fidelity},
       {"roundtrip", sutured::bench::measure_roundtrip},
   };
   try {
     if (*echo) sutured::bench::echo(echo_domain, session);
     if (thread_model) {
       sutured::bench::study_thread_model();
+      return 0;
+    }
+    if (!fidelity.empty()) {
+      sutured::bench::study_fidelity(fidelity);
       return 0;
     }
     const std::vector<std::pair<std::string, std::string>> facts = {
