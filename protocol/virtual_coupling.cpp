@@ -22,6 +22,13 @@ Matrix6 product(const Matrix6& a, const Matrix6& b) noexcept {
   return c;
 }
 
+Matrix6 transposed(const Matrix6& a) noexcept {
+  Matrix6 t;
+  for (int i = 0; i < 6; ++i)
+    for (int j = 0; j < 6; ++j) t[6 * i + j] = a[6 * j + i];
+  return t;
+}
+
 Twist times(const Matrix6& a, const Twist& x) noexcept {
   Twist y{};
   for (int i = 0; i < 6; ++i)
@@ -178,6 +185,15 @@ double couple_model(HapticModel& model, double max_stiffness_n_per_m) noexcept {
   for (int i = 0; i < 3; ++i) {
     model.bilateral_wrench.force_n[i] = coupled[i];
     model.bilateral_wrench.torque_nm[i] = coupled[i + 3];
+  }
+  for (int o = 0; o < model.other_count; ++o) {
+    ModelCoupling& other = model.others[o];
+    const Matrix6 drawn = product(series, other.stiffness);  // M C B
+    for (int i = 0; i < model.rows; ++i) {
+      const Twist along = transposed_times(drawn, model.jacobian[i]);
+      for (int k = 0; k < 6; ++k) other.jacobian[i][k] -= along[k];
+    }
+    other.stiffness = product(transposed(m), other.stiffness);
   }
   for (int i = 0; i < model.rows; ++i) {
     const Twist along = times(series, model.jacobian[i]);

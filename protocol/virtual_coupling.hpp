@@ -25,6 +25,7 @@ namespace suture {
 ///     w_0' = Mᵀ w_0             A_0' = A_0 M           M = (I + C A_0)⁻¹    (2)
 ///     Ĵ'  = Ĵ M                 q'   = q + Ĵ M C w_0
 ///     S'  = S + Ĵ M C Ĵᵀ
+///     B'  = Mᵀ B                J_o' = J_o − Ĵ M C B        of each other tool
 ///
 /// with A_0' and S' symmetric and positive semidefinite as before: what is passive stays so.
 /// It is done once a model, not once a tick.

@@ -466,6 +466,7 @@ void Device::set_render(Render render) {
     state.listen_to_models();
   } else {
     state.model_reader = {};
+    state.pose_reader = {};
   }
 }
 
