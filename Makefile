@@ -8,7 +8,7 @@ BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
   cyclonedds-dev cyclonedds-tools libboost1.81-dev libspdlog-dev \
   libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev
 PICTURE_PACKAGES := python3-matplotlib python3-numpy
-TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx $(PICTURE_PACKAGES)
+TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx iproute2 $(PICTURE_PACKAGES)
 MESH_PACKAGES := gmsh
 CHECK_PACKAGES := clang clang-format clang-tidy libclang-rt-14-dev
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)

@@ -17,7 +17,7 @@ extern char** environ;
 namespace sutured::testing {
 
 /// A child process whose output and errors are collected together. It is killed and
-/// reaped when the object goes.
+/// reaped when the object goes. A name without a path is looked for in PATH.
 class Process {
  public:
   explicit Process(const std::vector<std::string>& command) {
@@ -31,7 +31,7 @@ class Process {
     for (const std::string& word : command) arguments.push_back(const_cast<char*>(word.c_str()));
     arguments.push_back(nullptr);
     const int fault =
-        posix_spawn(&pid_, arguments[0], &actions, nullptr, arguments.data(), environ);
+        posix_spawnp(&pid_, arguments[0], &actions, nullptr, arguments.data(), environ);
     posix_spawn_file_actions_destroy(&actions);
     ::close(ends[1]);
     output_fd_ = ends[0];
