@@ -9,6 +9,7 @@ BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
   libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev
 PICTURE_PACKAGES := python3-matplotlib python3-numpy
 TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx iproute2 $(PICTURE_PACKAGES)
+BENCH_PACKAGES := rt-tests
 MESH_PACKAGES := gmsh
 CHECK_PACKAGES := clang clang-format clang-tidy libclang-rt-14-dev
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
@@ -80,6 +81,7 @@ soak: deps-test ## Play 1000 random surgeons and check every step
 
 .PHONY: bench
 bench: deps-test ## Measure the budgets: a table, and build/bench/results.json
+	$(call install-packages,$(BENCH_PACKAGES))
 	@cmake --preset release -DSUTURED_TESTS=OFF -DSUTURED_BENCH=ON >/dev/null
 	@cmake --build --preset release
 	@mkdir -p build/bench

@@ -61,7 +61,9 @@ void measure_closure(Figures& figures);
 void measure_tissue(Figures& figures);
 void measure_tick(Figures& figures);
 void measure_fidelity(Figures& figures);
+void measure_wakeup(Figures& figures);
 void measure_roundtrip(Figures& figures);
+void measure_mesh(Figures& figures);
 
 /// Prints what `model = "outside"` and `"path"` of a thread give on three meshes.
 void study_thread_model();
@@ -72,6 +74,11 @@ void study_fidelity(const std::string& folder);
 
 /// Answers every pose of a session with a force, without any thought, until it is killed.
 [[noreturn]] void echo(std::uint32_t domain, const std::string& session);
+/// Serves the main scene until it is killed, and writes large meshes beside between SIGUSR1 and
+/// SIGUSR2.
+[[noreturn]] void serve_with_mesh(std::uint32_t domain, const std::string& session);
+/// Takes meshes until SIGTERM, and prints how many of the large ones came.
+void view_mesh(std::uint32_t domain, const std::string& session);
 
 /// Returns the processor time that this thread has used.
 [[nodiscard]] std::int64_t thread_time_ns();

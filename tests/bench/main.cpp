@@ -29,12 +29,15 @@ int main(int argc, char** argv) {
   std::vector<std::string> only;
   app.add_option("--out", out, "The file to write");
   app.add_option("--commit", commit, "What was built, for the record");
-  app.add_option("--only", only,
-                 "Measure these alone: step, closure, tissue, tick, fidelity, roundtrip");
-  std::uint32_t echo_domain = 0;
+  app.add_option(
+      "--only", only,
+      "Measure these alone: step, closure, tissue, tick, fidelity, wakeup, roundtrip, mesh");
+  std::uint32_t domain = 0;
   std::string session;
-  auto* echo = app.add_option("--echo", echo_domain, "Be the bare echo in this DDS domain instead");
-  app.add_option("--session", session, "Session of the echo")->needs(echo);
+  auto* echo = app.add_option("--echo", domain, "Be the bare echo in this DDS domain instead");
+  auto* serve = app.add_option("--serve-with-mesh", domain, "Be the server with a large mesh");
+  auto* view = app.add_option("--view-mesh", domain, "Be the viewer of that mesh");
+  app.add_option("--session", session, "Session of these");
   bool thread_model = false;
   app.add_flag("--thread-model", thread_model,
                "Compare where a thread's tension acts instead: a table, no figures");
@@ -51,10 +54,17 @@ int main(int argc, char** argv) {
       {"tissue", sutured::bench::measure_tissue},
       {"tick", sutured::bench::measure_tick},
       {"fidelity", sutured::bench::measure_fidelity},
+      {"wakeup", sutured::bench::measure_wakeup},
       {"roundtrip", sutured::bench::measure_roundtrip},
+      {"mesh", sutured::bench::measure_mesh},
   };
   try {
-    if (*echo) sutured::bench::echo(echo_domain, session);
+    if (*echo) sutured::bench::echo(domain, session);
+    if (*serve) sutured::bench::serve_with_mesh(domain, session);
+    if (*view) {
+      sutured::bench::view_mesh(domain, session);
+      return 0;
+    }
     if (thread_model) {
       sutured::bench::study_thread_model();
       return 0;

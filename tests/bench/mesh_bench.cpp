@@ -1,0 +1,175 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// What a large mesh on the mesh domain costs the hand: pose in to force out while the process that
+// answers also writes 1 MB at 60 Hz to a viewer, against the same without, in turns of half a
+// second. Three processes: the server with its main scene, a viewer that takes every frame, and
+// the hand.
+#include <signal.h>
+#include <sys/prctl.h>
+
+#include <cmath>
+#include <cstdio>
+#include <future>
+#include <stdexcept>
+
+#include "bench/figures.hpp"
+#include "bench/pinger.hpp"
+#include "endpoints/server.hpp"
+#include "haptics/realtime.hpp"
+#include "haptics/supervisor.hpp"
+#include "scene/scene_reader.hpp"
+#include "support/process.hpp"
+
+namespace sutured::bench {
+namespace {
+
+using suture::v1::MeshFrame;
+
+constexpr std::int64_t kMs = 1'000'000;
+constexpr std::size_t kFloats = 3U * 87'381U;  // 1 MiB of positions
+constexpr double kRate_hz = 60.0;
+constexpr int kTurns = 48;
+constexpr int kTurn_ms = 500, kSettling_ms = 100;
+const std::string kBody = "bench";
+const std::string kScene = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/";
+
+sigset_t signals(std::initializer_list<int> numbers) {
+  sigset_t set;
+  sigemptyset(&set);
+  for (const int number : numbers) sigaddset(&set, number);
+  return set;
+}
+
+/// Plays the bite to its end and back, and meshes in every other turn.
+void play(const suture::SurgeonTrack& track, Pinger& hand, const testing::Process& server,
+          std::vector<std::uint64_t>& begins) {
+  haptics::enter_realtime(60);
+  std::int64_t due_ns = suture::monotonic_ns();
+  const auto ask = [&](double time_s) {
+    hand.send(track.at(time_s));
+    due_ns = haptics::next_tick(due_ns, suture::monotonic_ns(), kMs).at_ns;
+    haptics::sleep_until(due_ns);
+  };
+  constexpr int kMeeting = 30'000, kRamp = 500;
+  for (int i = 0; hand.answered() == 0; ++i) {
+    ask(0.0);
+    if (i > kMeeting) throw std::runtime_error("no answer in 30 s from the server");
+  }
+  for (int i = 0; i < kRamp; ++i) ask(0.0);
+  const double length_s = track.end_s();
+  double time_s = 0.0;
+  for (int turn = 0; turn < kTurns; ++turn) {
+    server.send(turn % 2 == 0 ? SIGUSR1 : SIGUSR2);
+    for (int i = 0; i < kTurn_ms; ++i, time_s += 1e-3) {
+      if (i == kSettling_ms) begins.push_back(hand.sent() + 1);
+      const double phase = std::fmod(time_s, 2.0 * length_s);
+      ask(std::min(phase, 2.0 * length_s - phase));
+    }
+  }
+}
+
+}  // namespace
+
+[[noreturn]] void serve_with_mesh(std::uint32_t domain, const std::string& session) {
+  const sigset_t turns = signals({SIGUSR1, SIGUSR2});
+  sigprocmask(SIG_BLOCK, &turns, nullptr);  // the threads below inherit it
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  endpoints::Server::Options options;
+  options.session = {domain, session, {}};
+  const endpoints::Server server(scene::read_scene(kScene + "scene.toml"), options);
+  const suture::Participant participant(options.session, suture::Channel::kMesh);
+  suture::Writer<MeshFrame> writer(participant);
+  const std::vector<float> positions_m(kFloats, 0.01F);
+  MeshFrame frame{};
+  suture::set_text(frame.body, kBody);
+  suture::lend(frame.position_m, std::span<const float>(positions_m));
+  std::printf("ready\n");
+  std::fflush(stdout);
+  bool sending = false;
+  std::int64_t due_ns = 0;
+  for (;;) {
+    const std::int64_t left_ns =
+        sending ? std::max<std::int64_t>(due_ns - suture::monotonic_ns(), 0) : 1000 * kMs;
+    const timespec timeout{left_ns / (1000 * kMs), left_ns % (1000 * kMs)};
+    const int signal = sigtimedwait(&turns, nullptr, &timeout);
+    if (signal > 0) {
+      sending = signal == SIGUSR1;
+      due_ns = suture::monotonic_ns();
+    } else if (sending) {
+      ++frame.sequence_number;
+      frame.stamp_ns = suture::wall_clock_ns();
+      writer.write(frame);
+      due_ns = haptics::next_tick(due_ns, suture::monotonic_ns(),
+                                  static_cast<std::int64_t>(1e9 / kRate_hz))
+                   .at_ns;
+    }
+  }
+}
+
+void view_mesh(std::uint32_t domain, const std::string& session) {
+  const sigset_t end = signals({SIGTERM});
+  sigprocmask(SIG_BLOCK, &end, nullptr);
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  const suture::Participant participant({domain, session, {}}, suture::Channel::kMesh);
+  suture::Reader<MeshFrame> reader(participant);
+  suture::WaitSet arrivals;
+  arrivals.attach(reader);
+  unsigned long frames = 0;
+  const timespec at_once{0, 0};
+  while (sigtimedwait(&end, nullptr, &at_once) < 0) {
+    if (!arrivals.wait(std::chrono::milliseconds(100))) continue;
+    reader.take_each([&](const MeshFrame& frame, const suture::SampleInfo& info) {
+      frames += info.valid && frame.position_m._length == kFloats;
+    });
+  }
+  std::printf("%lu frames\n", frames);
+}
+
+void measure_mesh(Figures& figures) {
+  suture::ParticipantOptions session;
+  session.domain = 4U * (static_cast<std::uint32_t>(getpid()) % 50U);
+  session.session = "bench-mesh-" + std::to_string(getpid());
+  const std::string domain = std::to_string(session.domain);
+  testing::Process server(
+      {"/proc/self/exe", "--serve-with-mesh", domain, "--session", session.session});
+  server.read_until("ready");
+  testing::Process viewer({"/proc/self/exe", "--view-mesh", domain, "--session", session.session});
+  const suture::Surgeon surgeon = suture::read_surgeon(kScene + "one_bite.csv");
+  const suture::SurgeonTrack& track = surgeon.tracks.at(0);
+
+  Pinger hand(session, track.tool);
+  std::vector<std::uint64_t> begins;
+  std::async(std::launch::async, [&] { play(track, hand, server, begins); }).get();
+  viewer.send(SIGTERM);
+  if (viewer.wait() != 0) throw std::runtime_error("the viewer failed: " + viewer.output());
+  const double frames = std::atof(viewer.output().c_str());
+
+  constexpr int kCounted_ms = kTurn_ms - kSettling_ms;
+  std::vector<double> with_us, without_us;
+  for (std::size_t turn = 0; turn < begins.size(); ++turn) {
+    const std::vector<double> us =
+        hand.round_trips_us(begins[turn], begins[turn] + kCounted_ms - 1);
+    std::vector<double>& all = turn % 2 == 0 ? with_us : without_us;
+    all.insert(all.end(), us.begin(), us.end());
+  }
+  if (with_us.empty() || without_us.empty()) throw std::runtime_error("no pose was answered");
+  const double seen_hz = frames / (1e-3 * kTurn_ms * kTurns / 2);
+  if (seen_hz < 0.9 * kRate_hz)
+    throw std::runtime_error("only " + std::to_string(seen_hz) +
+                             " frames a second reached the viewer: nothing to compare");
+  figures.add("mesh_frames_hz", seen_hz, "Hz");
+  const auto answered = [](const std::vector<double>& us) {
+    return 100.0 * static_cast<double>(us.size()) / (kTurns / 2 * kCounted_ms);
+  };
+  figures.add("roundtrip_with_mesh_answered_percent", answered(with_us), "%");
+  figures.add("roundtrip_without_mesh_answered_percent", answered(without_us), "%");
+  const double with_p50 = quantile(with_us, 0.5), with_p99 = quantile(with_us, 0.99);
+  const double without_p50 = quantile(without_us, 0.5), without_p99 = quantile(without_us, 0.99);
+  figures.add("roundtrip_with_mesh_us.p50", with_p50, "us");
+  figures.add("roundtrip_with_mesh_us.p99", with_p99, "us");
+  figures.add("roundtrip_without_mesh_us.p50", without_p50, "us");
+  figures.add("roundtrip_without_mesh_us.p99", without_p99, "us");
+  figures.add("roundtrip_with_mesh_over_without.p50", with_p50 / without_p50, "x");
+  figures.add("roundtrip_with_mesh_over_without.p99", with_p99 / without_p99, "x", 1.3);
+}
+
+}  // namespace sutured::bench
