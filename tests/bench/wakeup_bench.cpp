@@ -6,7 +6,8 @@
 // Figures are medians of the turns, ratios medians of the pairs' ratios, so that what else happens
 // on a shared machine in one turn does not count.
 #include <chrono>
-#include <cstdlib>
+#include <cmath>
+#include <cstdio>
 #include <sstream>
 #include <thread>
 
@@ -19,7 +20,7 @@
 namespace sutured::bench {
 namespace {
 
-constexpr int kPairs = 10, kTurn_s = 3;
+constexpr int kPairs = 20, kTurn_s = 3;
 
 struct Lateness {
   double p50_us = 0.0, p999_us = 0.0;
@@ -29,7 +30,7 @@ Lateness of_supervisor() {
   haptics::Supervisor supervisor([](std::int64_t) {});
   std::this_thread::sleep_for(std::chrono::seconds(kTurn_s));
   const haptics::LatencySummary late = supervisor.take_wakeup();
-  return {late.p50_us, late.p999_us};
+  return {std::floor(late.p50_us), std::floor(late.p999_us)};  // as cyclictest does
 }
 
 /// Its histogram has a line for each microsecond: the lateness without its fraction, and how often.
