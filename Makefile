@@ -96,6 +96,7 @@ faults: deps-test ## Inject every fault into servers and devices over DDS: docs/
 	@$(BIN)/tests/faults/sutured_faults --table docs/results/faults.md --curves out/faults/faults.csv \
 	  --commit "$$(git describe --always --dirty 2>/dev/null || echo unknown)"; result=$$?; \
 	/usr/bin/python3 tests/faults/plot.py out/faults/faults.csv docs/results/faults.png && exit $$result
+
 .PHONY: fidelity
 fidelity: deps-test ## Compare rendered forces with a full re-solve; renews docs/results/haptic-fidelity.md
 	@cmake --preset release -DSUTURED_TESTS=OFF -DSUTURED_BENCH=ON >/dev/null
@@ -104,6 +105,12 @@ fidelity: deps-test ## Compare rendered forces with a full re-solve; renews docs
 	@$(BIN)/tests/bench/sutured_bench --fidelity build/fidelity
 	@/usr/bin/python3 tests/bench/fidelity_plot.py build/fidelity docs/results/haptic-fidelity.md \
 	  docs/images/haptic-fidelity.svg
+
+.PHONY: distance
+distance: deps-test ## Study what distance does to the force: docs/results/distance.md and its plot
+	@cmake --preset release -DSUTURED_TESTS=OFF -DSUTURED_BENCH=ON >/dev/null
+	@cmake --build --preset release
+	@/usr/bin/python3 tests/distance/study.py --build build/release --docs docs
 
 .PHONY: format
 format: deps-check ## Rewrite the sources in the house style
