@@ -1,17 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 // `suture doctor`: is this machine, as it is now, fit for 1 kHz haptics?
+#include <ifaddrs.h>
+#include <net/if.h>
 #include <pthread.h>
 #include <sched.h>
 #include <sys/mman.h>
 #include <sys/resource.h>
+#include <sys/socket.h>
+#include <sys/syscall.h>
 #include <sys/utsname.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <ctime>
+#include <filesystem>
 #include <fstream>
 #include <optional>
+#include <sstream>
 #include <string>
 #include <thread>
 
@@ -77,14 +84,22 @@ void check_processors(Report& report) {
   cpu_set_t set;
   CPU_ZERO(&set);
   const int usable = sched_getaffinity(0, sizeof set, &set) == 0 ? CPU_COUNT(&set) : 1;
+  report.add(usable >= 4   ? Grade::kGood
+             : usable >= 2 ? Grade::kFair
+                           : Grade::kBad,
+             format("%d processors", usable),
+             usable >= 2 ? "four leave room for the simulation, the forces, a viewer and the rest"
+                         : "use a machine, or give this one, two processors at least");
+}
+
+void check_isolation(Report& report) {
   const std::string isolated = first_line("/sys/devices/system/cpu/isolated").value_or("");
-  report.add(
-      usable >= 4   ? Grade::kGood
-      : usable >= 2 ? Grade::kFair
-                    : Grade::kBad,
-      format("%d processors%s%s", usable, isolated.empty() ? "" : ", isolated: ", isolated.c_str()),
-      usable >= 2 ? "four leave room for the simulation, the forces, a viewer and the rest"
-                  : "use a machine, or give this one, two processors at least");
+  report.add(isolated.empty() ? Grade::kFair : Grade::kGood,
+             isolated.empty() ? "no processor is kept free of other work"
+                              : "kept free of other work: processor " + isolated,
+             "of four processors or more: add isolcpus=3 nohz_full=3 to the kernel's command line "
+             "(/etc/default/grub, sudo update-grub, reboot), and start the device there by "
+             "taskset -c 3; not the server, whose threads would not spread from there");
 }
 
 void check_governor(Report& report) {
@@ -109,6 +124,19 @@ void check_scheduling(Report& report) {
                                 static_cast<unsigned long long>(limit.rlim_cur), kReceivePriority),
              "add to /etc/security/limits.conf: \"@realtime - rtprio 80\", join that group, "
              "log in again");
+}
+
+void check_nice(Report& report) {
+  constexpr int kWanted = -10;  // what the simulation's thread asks for
+  bool permitted = false;
+  // On Linux a nice value is the thread's own and goes with it.
+  std::thread([&] {
+    permitted = setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), kWanted) == 0;
+  }).join();
+  report.add(permitted ? Grade::kGood : Grade::kFair,
+             format("nice %d %spermitted to the simulation", kWanted, permitted ? "" : "not "),
+             "add to /etc/security/limits.conf: \"@realtime - nice -10\", join that group, log in "
+             "again");
 }
 
 void check_memory_lock(Report& report) {
@@ -137,6 +165,56 @@ void check_socket_buffers(Report& report) {
       bytes >= kWanted ? Grade::kGood : Grade::kFair,
       format("receive buffers of up to %ld KiB (meshes want %ld)", bytes / 1024, kWanted / 1024),
       "sudo sysctl -w net.core.rmem_max=4194304");
+}
+
+/// Datagrams that the kernel dropped since the machine started, because nobody had taken those
+/// before them; nothing where it does not tell.
+std::optional<unsigned long long> dropped_datagrams() {
+  std::ifstream file("/proc/net/snmp");
+  std::string names, values;
+  while (std::getline(file, names) && std::getline(file, values)) {
+    if (!names.starts_with("Udp:")) continue;
+    std::istringstream name_words(names), value_words(values);
+    std::string name, value;
+    while (name_words >> name && value_words >> value)
+      if (name == "RcvbufErrors") return std::strtoull(value.c_str(), nullptr, 10);
+  }
+  return std::nullopt;
+}
+
+void check_dropped(Report& report) {
+  const std::optional<unsigned long long> dropped = dropped_datagrams();
+  if (!dropped) return;
+  report.add(*dropped == 0 ? Grade::kGood : Grade::kFair,
+             format("%llu datagrams dropped for want of room since the machine started", *dropped),
+             "raise net.core.rmem_max as above where a viewer is among those that lost them; "
+             "nstat -az UdpRcvbufErrors shows whether it goes on");
+}
+
+/// The interfaces by which devices on other machines may come.
+void check_interfaces(Report& report) {
+  ifaddrs* all = nullptr;
+  if (getifaddrs(&all) != 0) return;
+  bool found = false;
+  for (const ifaddrs* each = all; each != nullptr; each = each->ifa_next) {
+    if (each->ifa_addr == nullptr || each->ifa_addr->sa_family != AF_INET) continue;
+    if ((each->ifa_flags & IFF_LOOPBACK) != 0 || (each->ifa_flags & IFF_RUNNING) == 0) continue;
+    found = true;
+    const std::string name = each->ifa_name;
+    const bool radio = std::filesystem::exists("/sys/class/net/" + name + "/wireless");
+    const bool multicast = (each->ifa_flags & IFF_MULTICAST) != 0;
+    report.add(radio || !multicast ? Grade::kFair : Grade::kGood,
+               "interface " + name + (radio ? ", by radio" : "") +
+                   (multicast ? "" : ", without multicast"),
+               radio ? "connect devices by cable: radio loses packets and delays them by "
+                       "milliseconds"
+                     : "name the other machines as peers in CYCLONEDDS_URI");
+  }
+  freeifaddrs(all);
+  if (!found) {
+    report.add(Grade::kFair, "no interface but loopback: devices of this machine only",
+               "bring one up for devices on other machines");
+  }
 }
 
 /// Wakes every millisecond by the absolute clock; records how late.
@@ -219,12 +297,16 @@ int run_doctor(const DoctorArguments& arguments) {
   std::printf("machine\n");
   check_kernel(report);
   check_processors(report);
+  check_isolation(report);
   check_governor(report);
   check_scheduling(report);
+  check_nice(report);
   check_memory_lock(report);
   check_wakeups(report, arguments.seconds);
   std::printf("network\n");
+  check_interfaces(report);
   check_socket_buffers(report);
+  check_dropped(report);
   if (peer) check_network(report, *peer, arguments.seconds);
   if (interrupted) return kInterrupted;
   switch (report.worst()) {

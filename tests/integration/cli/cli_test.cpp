@@ -338,9 +338,17 @@ TEST_F(Cli, DoctorGradesEveryLineAndMeasuresTheRoundTrip) {
       {SUTURE_CLI, "doctor", "--seconds", "0.5", "--domain", std::to_string(own_session().domain)});
   const int code = doctor.wait();
   EXPECT_TRUE(code == 0 || code == 1) << doctor.output();  // the machine's, not ours
-  for (const char* line : {"kernel", "processors", "SCHED_FIFO", "locked", "1 kHz wake-up",
-                           "receive buffers", "round trip over DDS"}) {
+  for (const char* line :
+       {"kernel", "processors", "free of other work", "SCHED_FIFO", "nice -10", "locked",
+        "1 kHz wake-up", "interface", "receive buffers", "round trip over DDS"}) {
     EXPECT_THAT(doctor.output(), HasSubstr(line));
+  }
+  // What is not good comes with its mend.
+  std::istringstream lines(doctor.output());
+  std::string before;
+  for (std::string line; std::getline(lines, line); before = line) {
+    const bool wanting = before.starts_with("  fair") || before.starts_with("  BAD");
+    EXPECT_EQ(line.starts_with("        mend: "), wanting) << before << '\n' << line;
   }
 }
 
