@@ -74,10 +74,11 @@ test: deps-test ## Build and run every test
 	@ctest --preset dev --progress
 
 .PHONY: soak
-soak: deps-test ## Play 1000 random surgeons and check every step
+soak: deps-test ## Play 1000 random surgeons and check every step; serve for 10 minutes under load
 	@cmake --preset dev >/dev/null
-	@cmake --build --preset dev --target sutured_surgeons
+	@cmake --build --preset dev --target sutured_surgeons sutured_long_run
 	@build/dev/tests/soak/sutured_surgeons --count 1000
+	@build/dev/tests/soak/sutured_long_run --seconds 600
 
 .PHONY: bench
 bench: deps-test ## Measure the budgets: a table, and build/bench/results.json

@@ -48,6 +48,7 @@ class Process {
   Process& operator=(const Process&) = delete;
 
   void send(int signal) const { kill(pid_, signal); }
+  [[nodiscard]] pid_t pid() const { return pid_; }
 
   /// Reads until the process ends or, where given, until `text` has appeared.
   const std::string& read_until(const std::string& text = "") {
