@@ -95,8 +95,11 @@ struct HapticModel {
   double characteristic_length_m = 0.01;  ///< ℓ of the norm max(|t|, ℓ|θ|)
   double radius_m = 0.0;  ///< of ξ in that norm, within which no row switches; may be +inf
 
-  bool touching = false;       ///< false: the wrench is exactly zero
-  bool world_changed = false;  ///< contact, puncture, grasp or release in this step
+  bool touching = false;  ///< false: the wrench is exactly zero
+  /// Of the last step in which the world changed by a contact, puncture, grasp or release; 0: none.
+  /// After `sequence` of the model shown before, the force takes the ramp instead of the blend: also
+  /// where the model of that very step was overtaken and never shown.
+  std::uint64_t changed_sequence = 0;
 
   std::int32_t rows = 0;         ///< m
   std::int32_t frozen_rows = 0;  ///< rows beyond `kModelRowsMax`, held at their state

@@ -179,12 +179,12 @@ void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& pub
   const suture::HapticModel& model = published.model;
   wire.epoch = model.epoch;
   wire.sequence_number = model.sequence;
+  wire.changed_sequence = model.changed_sequence;
   wire.stamp_ns = model.stamp_ns;
   wire.pose_sequence = published.pose_sequence;
   wire.simulation_time_s = published.time_s;
   wire.flags = 0;
   if (model.touching) wire.flags |= suture_v1_MODEL_TOUCHING;
-  if (model.world_changed) wire.flags |= suture_v1_MODEL_WORLD_CHANGED;
   if (published.engaged) wire.flags |= suture_v1_MODEL_ENGAGED;
   copy(model.reference.position_m, wire.reference_position_m);
   copy(model.reference.orientation_xyzw, wire.reference_orientation_xyzw);

@@ -29,7 +29,8 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
       period_ns_(std::llround(1e9 / options_.rate_hz)),
       display_period_ns_(std::llround(1e9 / options_.display_rate_hz)),
       inputs_(channels.size()),
-      targets_(channels.size()) {
+      targets_(channels.size()),
+      changed_(channels.size()) {
   simulation_.compute_stress(stress_);  // so that no frame allocates
   for (std::size_t i = 0; i < channels_.size(); ++i)
     models_.push_back(std::make_unique<suture::Snapshot<PublishedModel>>());
@@ -77,6 +78,7 @@ void SimulationLoop::begin_epoch() {
   // The time makes an epoch unique over restarts as well.
   const auto now = static_cast<std::uint64_t>(suture::wall_clock_ns());
   epoch_.store(std::max(now, epoch_.load() + 1), std::memory_order_release);
+  std::fill(changed_.begin(), changed_.end(), 0);
 }
 
 void SimulationLoop::run() noexcept {
@@ -146,6 +148,8 @@ void SimulationLoop::publish_models(std::int64_t taken_ns) {
     model.stamp_ns = stamp_ns;
     model.period_ns = period_ns_;
     model.stale_after_ns = model_stale_after_ns(period_ns_);
+    if (responses[i].world_changed) changed_[i] = model.sequence;
+    model.changed_sequence = changed_[i];
     fill_model(responses[i], model);
     published.time_s = simulation_.time_s();
     published.pose_sequence = target.pose_sequence;

@@ -138,7 +138,8 @@ class SimulationLoop {
   std::int64_t period_ns_, display_period_ns_;
 
   std::vector<simulation::ToolInput> inputs_;
-  std::vector<ToolTarget> targets_;  // of the present step
+  std::vector<ToolTarget> targets_;     // of the present step
+  std::vector<std::uint64_t> changed_;  // step in which the world of each tool changed last
   std::vector<std::unique_ptr<suture::Snapshot<PublishedModel>>> models_;
   suture::Snapshot<DisplayFrame> frames_;
   BoundedQueue<LoopEvent, 1024> events_;

@@ -428,6 +428,7 @@ suture::Wrench ToolChannel::model_wrench(std::int64_t now_ns) noexcept {
   // The old model is asked once more, before its place goes back to the writer.
   const suture::Wrench shown =
       renders && has_model_ ? blend_.apply(evaluate_model(), now_ns) : suture::Wrench{};
+  const std::uint64_t before = models_.front().model.sequence;
   models_.update();
   const suture::HapticModel& model = models_.front().model;
   if (has_model_ && model.epoch != epoch_) begin_fading(now_ns);  // the world was reset
@@ -437,7 +438,7 @@ suture::Wrench ToolChannel::model_wrench(std::int64_t now_ns) noexcept {
   const suture::Wrench next = evaluate_model();
   const std::int64_t period_ns = std::max<std::int64_t>(model.period_ns, kMillisecond_ns);
   blend_.swap(shown, next, now_ns,
-              model.world_changed ? kBlendOfChangedWorld_ns : std::min(kBlend_ns, period_ns));
+              model.changed_sequence > before ? kBlendOfChangedWorld_ns : std::min(kBlend_ns, period_ns));
   return blend_.apply(next, now_ns);
 }
 

@@ -89,6 +89,7 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
   HapticModel& model = received.model;
   model.epoch = wire.epoch;
   model.sequence = wire.sequence_number;
+  model.changed_sequence = wire.changed_sequence;
   model.stamp_ns = wire.stamp_ns;
   model.period_ns = wire.period_ns;
   model.stale_after_ns = wire.stale_after_ns;
@@ -106,7 +107,6 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
   model.characteristic_length_m = wire.norm_length_m;
   model.radius_m = wire.radius_m;
   model.touching = (wire.flags & suture_v1_MODEL_TOUCHING) != 0;
-  model.world_changed = (wire.flags & suture_v1_MODEL_WORLD_CHANGED) != 0;
   model.rows = static_cast<std::int32_t>(rows);
   model.frozen_rows = static_cast<std::int32_t>(wire.frozen_rows);
   const auto take = [](const auto& sequence, double* to) {
@@ -211,10 +211,12 @@ Wrench ModelRenderer::model_wrench(std::int64_t now_ns) noexcept {
   };
   if (!models_.pending()) return blend_.apply(evaluate_front(), now_ns);
   const Wrench shown = blend_.apply(evaluate_front(), now_ns);
+  const std::uint64_t epoch = models_.front().model.epoch, before = models_.front().model.sequence;
   models_.update();
   const ReceivedModel& front = models_.front();
   const Wrench next = evaluate_front();
-  blend_.swap(shown, next, now_ns, front.model.world_changed ? front.ramp_ns : front.blend_ns);
+  const bool changed = front.model.epoch != epoch || front.model.changed_sequence > before;
+  blend_.swap(shown, next, now_ns, changed ? front.ramp_ns : front.blend_ns);
   return blend_.apply(next, now_ns);
 }
 

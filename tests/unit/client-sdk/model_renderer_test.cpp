@@ -418,26 +418,30 @@ TEST_F(TwoTools, DropsACouplingThatDoesNotFitItsModel) {
 }
 
 TEST_F(ModelRendererTest, TakesLongerOverAChangeOfTheWorldThanOverASwap) {
-  const auto largest_step_n = [this](bool changed, double towards_n) {
+  const auto largest_step_n = [this](bool changed, bool overtaken, double towards_n) {
     double last = settle(hand_at(0.01)).force_n[0], largest = 0.0;
     wire_.bilateral_wrench[0] = towards_n;
     ++wire_.sequence_number;
-    if (changed) wire_.flags |= suture_v1_MODEL_WORLD_CHANGED;
-    renderer_.receive(wire_, now_ns_);
-    wire_.flags &= ~static_cast<std::uint32_t>(suture_v1_MODEL_WORLD_CHANGED);
+    if (changed) wire_.changed_sequence = wire_.sequence_number;
     for (int i = 0; i < 40; ++i) {
-      now_ns_ += kMs;
-      const double now = render(hand_at(0.01), rendering(), now_ns_).force_n[0];
+      if (i % 4 == 0) {
+        renderer_.receive(wire_, now_ns_);
+        ++wire_.sequence_number;
+        if (overtaken) renderer_.receive(wire_, now_ns_);
+      }
+      const double now = render(hand_at(0.01), rendering(), now_ns_ += kMs).force_n[0];
       largest = std::max(largest, std::abs(now - last));
       last = now;
     }
     EXPECT_NEAR(last, -1.0 + towards_n, 1e-12);
     return largest;
   };
-  const double at_a_swap = largest_step_n(false, 0.5), at_a_change = largest_step_n(true, 0.0);
+  const double at_a_swap = largest_step_n(false, false, 0.5);
+  const double at_a_change = largest_step_n(true, false, 0.0);
   // A smoothstep over 4 and 30 ms is at most 1.5 times as steep as its mean.
   EXPECT_LE(at_a_swap, 0.5 * 1.5 / 4.0 + 1e-9);
   EXPECT_LE(at_a_change, 0.5 * 1.5 / 30.0 + 1e-9);
+  EXPECT_LE(largest_step_n(true, true, 0.5), 0.5 * 1.5 / 30.0 + 1e-9);
 }
 
 TEST_F(ModelRendererTest, NeitherAllocatesNorLocks) {

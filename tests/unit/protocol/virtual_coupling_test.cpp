@@ -81,12 +81,16 @@ Vec6 as_vector(const Wrench& w) {
   return v;
 }
 
+/// Where the screw ξ takes the pose at the origin.
 Pose moved(const Vec6& xi) {
-  const Eigen::Vector3d theta = xi.tail<3>();
+  const Eigen::Vector3d theta = xi.tail<3>(), t = xi.head<3>();
   const double angle = theta.norm();
-  const Eigen::Quaterniond q(
-      Eigen::AngleAxisd(angle, angle > 0.0 ? theta.normalized() : Eigen::Vector3d::UnitX()));
-  return {{xi[0], xi[1], xi[2]}, {q.x(), q.y(), q.z(), q.w()}};
+  const Eigen::Vector3d axis = angle > 0.0 ? theta.normalized() : Eigen::Vector3d::UnitX();
+  const Eigen::Quaterniond q(Eigen::AngleAxisd(angle, axis));
+  const double share = angle > 1e-4 ? std::sin(angle) / angle : 1.0 - angle * angle / 6.0;
+  const double turn = angle > 1e-4 ? (1.0 - std::cos(angle)) / angle : angle / 2.0;
+  const Eigen::Vector3d x = share * t + turn * axis.cross(t) + (1.0 - share) * axis * axis.dot(t);
+  return {{x[0], x[1], x[2]}, {q.x(), q.y(), q.z(), q.w()}};
 }
 
 TEST(VirtualCoupling, ChangesNothingWhereTheDeviceIsStiffEnough) {
@@ -159,6 +163,48 @@ TEST(VirtualCoupling, IsASpringBetweenTheHandAndTheProxyOfTheSameModel) {
       EXPECT_LT((unit() * (w - there)).norm(), 1e-6 * (1 + (unit() * w).norm()))
           << trial << ' ' << k;
     }
+  }
+}
+
+// Where the other tool moves, the coupled model is the coupling of the model that it leaves.
+TEST(VirtualCoupling, FeelsAnotherToolAsTheProxyDoes) {
+  std::mt19937 random(8);
+  std::normal_distribution<double> normal;
+  constexpr double kLimit = 700.0;
+  for (int trial = 0; trial < 20; ++trial) {
+    const auto model = random_model(random, trial % 12, 1000.0);
+    model->other_count = 1;
+    ModelCoupling& other = model->others[0];
+    for (double& b : other.stiffness) b = 300.0 * normal(random);
+    for (int i = 0; i < model->rows; ++i)
+      for (double& j : other.jacobian[i]) j = normal(random);
+    const auto coupled = std::make_unique<HapticModel>(*model);
+    couple_model(*coupled, kLimit);
+    Vec6 way = Vec6::Zero();
+    for (int i = 0; i < 3; ++i) way[i] = 1e-4 * normal(random);
+    // The same motion of the other, taken into the model's own terms.
+    const auto shifted = std::make_unique<HapticModel>(*model);
+    shifted->other_count = 0;
+    for (int i = 0; i < 6; ++i)
+      for (int k = 0; k < 6; ++k) {
+        double& w = i < 3 ? shifted->bilateral_wrench.force_n[i]
+                          : shifted->bilateral_wrench.torque_nm[i - 3];
+        w -= other.stiffness[6 * i + k] * way[k];
+      }
+    for (int i = 0; i < model->rows; ++i)
+      for (int k = 0; k < 6; ++k) shifted->offset_m[i] += other.jacobian[i][k] * way[k];
+    complete_model(*shifted);
+    couple_model(*shifted, kLimit);
+    const std::array<Pose, 1> others{moved(way)};
+    ModelEvaluator evaluator, of_shifted;
+    Wrench got, expected;
+    for (int settle = 0; settle < 20; ++settle) {
+      got = evaluator.evaluate(*coupled, Pose{}, others);
+      expected = of_shifted.evaluate(*shifted, Pose{});
+    }
+    EXPECT_LT((unit() * (as_vector(got) - as_vector(expected))).norm(),
+              1e-9 * (1 + (unit() * as_vector(expected)).norm()))
+        << trial;
   }
 }
 
