@@ -96,7 +96,7 @@ faults: deps-test ## Inject every fault into servers and devices over DDS: docs/
 	@mkdir -p out/faults
 	@$(BIN)/tests/faults/sutured_faults --table docs/results/faults.md --curves out/faults/faults.csv \
 	  --commit "$$(git describe --always --dirty 2>/dev/null || echo unknown)"; result=$$?; \
-	/usr/bin/python3 tests/faults/plot.py out/faults/faults.csv docs/results/faults.png && exit $$result
+	/usr/bin/python3 tests/faults/plot.py out/faults/faults.csv docs/images/faults.png && exit $$result
 
 .PHONY: fidelity
 fidelity: deps-test ## Compare rendered forces with a full re-solve; renews docs/results/haptic-fidelity.md

@@ -536,7 +536,7 @@ void write_table(const std::string& path, const std::vector<Result>& results,
          << " | " << cell(result.zero_ms, "stays") << " | " << step << " | "
          << (result.zero_ms ? cell(result.recovered_ms, "no") : "–") << " |\n";
   }
-  file << "\n![Force at the hand around each fault](faults.png)\n\n"
+  file << "\n![Force at the hand around each fault](../images/faults.png)\n\n"
        << "Other faults last 200 ms, the slow step 250: its *back* holds the 50.\n";
 }
 
