@@ -88,6 +88,8 @@ double number(const Field& field, std::size_t index, const Place& place) {
 SurgeonRow parse_row(const std::array<Field, kFields>& fields, const Place& place) {
   SurgeonRow row;
   row.time_s = number(fields[0], 0, place);
+  if (row.time_s < 0.0)
+    place.fail(fields[0].column, "time_s is negative", "let time begin at zero");
   for (std::size_t i = 0; i < 3; ++i) row.pose.position_m[i] = number(fields[2 + i], 2 + i, place);
   double squared = 0.0;
   for (std::size_t i = 0; i < 4; ++i) {

@@ -7,6 +7,7 @@
 #include <cstdio>
 
 #include "commands.hpp"
+#include "protocol/number_option.hpp"
 #include "suture/error.hpp"
 
 namespace suture::cli {
@@ -50,7 +51,7 @@ void add_session_options(CLI::App& command, SessionArguments& session) {
       ->capture_default_str();
   command.add_option("--session", session.session, "session name (a DDS partition)");
   command.add_option("--timeout", session.timeout_s, "seconds to wait for the server")
-      ->check(CLI::PositiveNumber)
+      ->check(suture::within(0.001, 3600.0, "s"))
       ->capture_default_str();
 }
 
@@ -79,18 +80,18 @@ int run(int argc, char** argv) {
   device_command->add_option("--plot", device.plot, "write force over time to this SVG file");
   device_command->add_option("--summary", device.summary, "write the summary to this JSON file");
   device_command->add_option("--rate", device.rate_hz, "poses a second")
-      ->check(CLI::Range(1.0, 4000.0))
+      ->check(suture::within(1.0, 4000.0, "Hz"))
       ->capture_default_str();
   device_command
       ->add_option("--max-force", device.max_force_n,
                    "N that the device can show; the scene's limit holds beside it")
-      ->check(CLI::PositiveNumber);
+      ->check(suture::within(0.001, 1000.0, "N"));
   device_command->add_option("--max-slew", device.max_slew_n_per_s, "N/s, likewise")
-      ->check(CLI::PositiveNumber);
+      ->check(suture::within(0.001, 1e6, "N/s"));
   device_command
       ->add_option("--max-stiffness", device.max_stiffness_n_per_m,
                    "N/m that the device renders stably; stiffer things are softened")
-      ->check(CLI::PositiveNumber);
+      ->check(suture::within(0.001, 1e6, "N/m"));
   device_command->add_flag("--loop", device.loop,
                            "play to the end and back again until interrupted");
   device_command->add_flag("--pause-at-end", device.pause_at_end,
@@ -123,7 +124,7 @@ int run(int argc, char** argv) {
   doctor_command->add_option("--domain", doctor.domain, "DDS domain for the round trip, even")
       ->capture_default_str();
   doctor_command->add_option("--seconds", doctor.seconds, "how long each loop is measured")
-      ->check(CLI::Range(0.2, 600.0))
+      ->check(suture::within(0.2, 600.0, "s"))
       ->capture_default_str();
   doctor_command->add_flag("!--no-network", doctor.network, "leave out the DDS round trip");
   doctor_command->footer(

@@ -12,6 +12,7 @@
 
 #include "commands/output_file.hpp"
 #include "commands/run_record.hpp"
+#include "protocol/number_option.hpp"
 #include "protocol/surgeon.hpp"
 #include "scene/scene_reader.hpp"
 #include "simulation/simulation.hpp"
@@ -149,11 +150,11 @@ void add_run_command(CLI::App& app, int& exit_code) {
                       "Surgeon file (CSV): time_s,tool,px_m,…,jaw; none: nobody touches the scene");
   command->add_option("--out", options->out, "Folder for the results")->required();
   command->add_option("--rate", options->rate_hz, "Steps per second; the scene's by default")
-      ->check(CLI::Range(1.0, 10000.0));
+      ->check(suture::within(1.0, 10000.0, "Hz"));
   command
       ->add_option("--duration", options->duration_s,
                    "Seconds to simulate; the surgeon's by default")
-      ->check(CLI::Range(1e-4, 1e6));
+      ->check(suture::within(0.0001, 1e6, "s"));
   command->add_flag("--quiet", options->quiet, "No progress bar");
   command->footer(
       "Example: sutured run server/scenes/anastomosis/scene.toml \\\n"

@@ -17,6 +17,7 @@
 
 #include "commands/run_record.hpp"
 #include "endpoints/server.hpp"
+#include "protocol/number_option.hpp"
 #include "protocol/types.hpp"
 #include "scene/scene_reader.hpp"
 
@@ -185,9 +186,9 @@ void add_serve_command(CLI::App& app, int& exit_code) {
                                 "or say 'off'";
       });
   command->add_option("--rate", options->rate_hz, "Steps a second, instead of the scene's")
-      ->check(CLI::Range(30.0, 1000.0));
+      ->check(suture::within(30.0, 1000.0, "Hz"));
   command->add_option("--duration", options->duration_s, "End after so many seconds")
-      ->check(CLI::PositiveNumber);
+      ->check(suture::within(0.0001, 1e8, "s"));
   command->add_option("--out", options->out,
                       "Folder for final.vtk and summary.json, written when the server ends");
   command->footer(
