@@ -114,8 +114,14 @@ void ModelEvaluator::begin(const HapticModel& model) noexcept {
   epoch_ = model.epoch;
   sequence_ = model.sequence;
   factored_ = false;
+  fresh_ = true;
+  follows_ = false;
   for (int i = 0; i < model.rows; ++i) {
     const double lambda = model.multiplier_n[i];
+    lambda_[i] = lambda;
+    lower_[i] = slip_[i] = 0.0;
+    upper_[i] = model.multiplier_max_n[i];
+    follows_ |= model.bound_slope[i] > 0.0;
     state_[i] = lambda <= kMultiplierTolerance_n                               ? Row::kZero
                 : lambda >= model.multiplier_max_n[i] - kMultiplierTolerance_n ? Row::kUpper
                                                                                : Row::kFree;
@@ -167,14 +173,14 @@ void ModelEvaluator::solve_free(std::array<double, kModelRowsMax>& x) const noex
   }
 }
 
-// S_FF λ_F = (q + Ĵ ξ)_F − S_FU λ_max,U
+// S_FF λ_F = (q + Ĵ ξ)_F − S_FB λ_B, with λ_B at its bounds.
 void ModelEvaluator::solve(const HapticModel& model) noexcept {
   std::array<double, kModelRowsMax> x;
   for (int i = 0; i < model.rows; ++i)
-    lambda_[i] = state_[i] == Row::kUpper ? model.multiplier_max_n[i] : 0.0;
+    lambda_[i] = state_[i] == Row::kUpper ? upper_[i] : state_[i] == Row::kZero ? lower_[i] : 0.0;
   for (int a = 0; a < free_count_; ++a) x[a] = rhs_[free_[a]];
   for (int j = 0; j < model.rows; ++j) {
-    if (state_[j] != Row::kUpper) continue;
+    if (lambda_[j] == 0.0) continue;
     for (int a = 0; a < free_count_; ++a) x[a] -= compliance(model, free_[a], j) * lambda_[j];
   }
   solve_free(x);
@@ -184,7 +190,7 @@ void ModelEvaluator::solve(const HapticModel& model) noexcept {
 // Counts the rows on the wrong side of their condition and says where each belongs.
 int ModelEvaluator::violations(const HapticModel& model) noexcept {
   // All gaps in one pass over S as it is stored: row j gives to the rows before it, and takes.
-  std::array<double, kModelRowsMax> gaps;
+  auto& gaps = gap_;
   for (int j = 0; j < model.rows; ++j) {
     const double* row = &model.compliance_m_per_n[packed_index(j, 0)];
     const double lambda = lambda_[j];
@@ -208,13 +214,14 @@ int ModelEvaluator::violations(const HapticModel& model) noexcept {
   for (int i = 0; i < model.rows; ++i) {
     wanted_[i] = state_[i];
     // A row without room (friction under a normal force of zero) is right at any gap.
-    if (model.multiplier_max_n[i] <= kMultiplierTolerance_n) continue;
+    const bool no_room = upper_[i] - lower_[i] <= kMultiplierTolerance_n;
+    if (no_room && state_[i] != Row::kFree) continue;
     if (state_[i] == Row::kFree) {
-      const double over = lambda_[i] - model.multiplier_max_n[i];
-      if (lambda_[i] < -kMultiplierTolerance_n) wanted_[i] = Row::kZero;
-      if (over > kMultiplierTolerance_n) wanted_[i] = Row::kUpper;
+      const double under = lower_[i] - lambda_[i], over = lambda_[i] - upper_[i];
+      if (under > kMultiplierTolerance_n || no_room) wanted_[i] = Row::kZero;
+      if (over > kMultiplierTolerance_n && !no_room) wanted_[i] = Row::kUpper;
       if (wanted_[i] != state_[i])
-        residual_m_ = std::max(residual_m_, compliance(model, i, i) * std::max(-lambda_[i], over));
+        residual_m_ = std::max(residual_m_, compliance(model, i, i) * std::max(under, over));
     } else {
       const double gap = gaps[i];
       const double wrong = state_[i] == Row::kZero ? -gap : gap;
@@ -233,7 +240,35 @@ void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi,
   for (int i = 0; i < model.rows; ++i) rhs_[i] = model.offset_m[i] + dot(model.jacobian[i], xi);
   for (std::size_t k = 0; k < others.size(); ++k)
     for (int i = 0; i < model.rows; ++i) rhs_[i] += dot(model.others[k].jacobian[i], others[k]);
+  if (!follows_) {
+    settle(model);
+    return;
+  }
 
+  for (int i = 0; i < model.rows; ++i) rhs_[i] -= slip_[i];
+  if (fresh_) settle(model);
+  fresh_ = false;
+  follow(model);
+  if (!settle(model)) return;
+  for (int i = 0; i < model.rows; ++i)
+    if (model.bound_slope[i] > 0.0 && state_[i] != Row::kFree) slip_[i] -= gap_[i];
+}
+
+// Sets the bounds that follow other rows from the multipliers of the last solution.
+void ModelEvaluator::follow(const HapticModel& model) noexcept {
+  for (int i = 0; i < model.rows; ++i) {
+    if (!(model.bound_slope[i] > 0.0)) continue;
+    const int normal = model.bound_row[i];
+    const double grown =
+        std::max(model.bound_slope[i] * (lambda_[normal] - model.multiplier_n[normal]),
+                 -0.5 * model.multiplier_max_n[i]);
+    lower_[i] = -grown;
+    upper_[i] = model.multiplier_max_n[i] + grown;
+  }
+}
+
+// Solves for `rhs_` within the bounds. Returns whether it did, or had to clamp.
+bool ModelEvaluator::settle(const HapticModel& model) noexcept {
   // A row found redundant while factoring leaves the set, so this ends.
   const auto solve_with_set = [&]() noexcept {
     bool redundant = false;
@@ -260,9 +295,10 @@ void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi,
     exact = solve_with_set();
     worst = violations(model);
   }
-  if (worst > 0 || !exact) ++fallbacks_;
-  for (int i = 0; i < model.rows; ++i)
-    lambda_[i] = std::clamp(lambda_[i], 0.0, model.multiplier_max_n[i]);
+  exact &= worst == 0;
+  if (!exact) ++fallbacks_;
+  for (int i = 0; i < model.rows; ++i) lambda_[i] = std::clamp(lambda_[i], lower_[i], upper_[i]);
+  return exact;
 }
 
 Wrench ModelEvaluator::evaluate(const HapticModel& model, const Pose& pose,
@@ -338,8 +374,16 @@ void complete_model(HapticModel& model) noexcept {
   };
   for (int r = 0; r < model.rows; ++r) {
     const double lambda = at_rest.lambda_[r];
+    const bool follows = model.bound_slope[r] > 0.0;
     if (at_rest.state_[r] == ModelEvaluator::Row::kFree) {
-      limit_to(std::min(lambda, model.multiplier_max_n[r] - lambda), gradient[r]);
+      Twist to_lower = gradient[r], to_upper = gradient[r];
+      if (follows)
+        for (int i = 0; i < 6; ++i) {
+          const double grown = model.bound_slope[r] * gradient[model.bound_row[r]][i];
+          to_lower[i] += grown, to_upper[i] -= grown;
+        }
+      limit_to(lambda - at_rest.lower_[r], to_lower);
+      limit_to(at_rest.upper_[r] - lambda, to_upper);
       continue;
     }
     double gap = -model.offset_m[r];
@@ -349,7 +393,7 @@ void complete_model(HapticModel& model) noexcept {
       gap += compliance(model, r, j) * at_rest.lambda_[j];
       for (int i = 0; i < 6; ++i) slope[i] += compliance(model, r, j) * gradient[j][i];
     }
-    limit_to(std::abs(gap), slope);
+    limit_to(follows ? 0.0 : std::abs(gap), slope);  // what slips sticks as soon as it turns back
   }
   model.radius_m = radius;
 }

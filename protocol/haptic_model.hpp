@@ -66,13 +66,22 @@ struct ModelCoupling {
 ///     gap(ξ) = S λ − q − Ĵ ξ,   0 ≤ λ ≤ λ_max,
 ///              gap ≥ 0 where λ = 0,  gap ≤ 0 where λ = λ_max,  gap = 0 between
 ///
+/// A row i of friction, counted from the far side of its cone as every row is from zero, follows
+/// the row n of its normal force with μ_i = `bound_slope` (Coulomb), and slips for good:
+///
+///     −d ≤ λ_i ≤ λ_max,i + d,   d = max(μ_i (λ_n − λ_n(0)), −λ_max,i / 2)
+///     q_i ← q_i + gap_i  where λ_i is at a bound
+///
+/// What slips dissipates, whatever the bound does meanwhile. A friction that gave the slip back, as
+/// a spring that saturates does, would gain energy for a hand that slides lightly and returns hard.
+///
 /// Every bilateral row is condensed into w_0 and A_0; the m rows are the unilateral ones
 /// that may still switch. The slide s of a needle that is held is removed from all of it
 /// (A_0 has P = I − s gᵀ applied, σ = gᵀξ is how far the needle slides), so A_0 and S are
 /// symmetric and positive semidefinite and no closed motion of the hand gains energy.
 ///
 /// World axes, SI units, wrenches about the tool's origin. Row-major 6 × 6 matrices in the
-/// order (translation, rotation). A plain value: trivially copyable, about 45 kB.
+/// order (translation, rotation). A plain value: trivially copyable, about 46 kB.
 struct HapticModel {
   std::uint64_t epoch = 0;          ///< renewed when the server starts or resets
   std::uint64_t sequence = 0;       ///< of the step, from 1; 0: there is no model
@@ -108,6 +117,8 @@ struct HapticModel {
   std::array<double, kModelRowsMax> offset_m{};              ///< q
   std::array<double, kModelRowsMax> multiplier_n{};          ///< λ(0)
   std::array<double, kModelRowsMax> multiplier_max_n{};      ///< λ_max, +inf where unbounded
+  std::array<std::int32_t, kModelRowsMax> bound_row{};       ///< n, where `bound_slope` > 0
+  std::array<double, kModelRowsMax> bound_slope{};           ///< μ, 0: the bounds are fixed
 
   std::int32_t other_count = 0;
   std::array<ModelCoupling, kModelOthersMax> others{};  ///< the first `other_count`
@@ -119,8 +130,12 @@ struct HapticModel {
 /// active set (of the last pose, or at a new model the set of its `multiplier_n`) by block
 /// principal pivoting with a single-row safeguard, at most `kPivotsMax` changes of the set
 /// a call. Where that does not suffice the last set stands, λ is clamped into
-/// [0, λ_max], the call is counted, and the next call continues from there. So no row ever
+/// its bounds, the call is counted, and the next call continues from there. So no row ever
 /// pulls, not even for one tick.
+///
+/// A bound that follows another row takes that row's multiplier of the call before (at 1 kHz one
+/// millisecond late), so S stays the matrix of the problem, symmetric. A model's first call, which
+/// has none before it, solves twice.
 ///
 /// Thread: one at a time. Allocates: nothing. Cost: O(m²), and one Cholesky of the free
 /// rows for each change of the set (m = 64: tens of microseconds).
@@ -174,16 +189,22 @@ class ModelEvaluator {
   void solve_free(std::array<double, kModelRowsMax>& x) const noexcept;
   int violations(const HapticModel& model) noexcept;
   void resolve(const HapticModel& model, const Twist& xi, std::span<const Twist> others) noexcept;
+  bool settle(const HapticModel& model) noexcept;
+  void follow(const HapticModel& model) noexcept;
 
   std::uint64_t epoch_ = 0, sequence_ = 0;
   std::uint64_t fallbacks_ = 0;
   double residual_m_ = 0.0;
   int free_count_ = 0;
   bool factored_ = false;
+  bool fresh_ = false;    // no call with this model yet
+  bool follows_ = false;  // a bound of this model follows another row
   std::array<Row, kModelRowsMax> state_{};
   std::array<Row, kModelRowsMax> wanted_{};
-  std::array<std::int32_t, kModelRowsMax> free_{};      // indices of the free rows
-  std::array<double, kModelRowsMax> rhs_{}, lambda_{};  // q + Ĵ ξ, λ
+  std::array<std::int32_t, kModelRowsMax> free_{};       // indices of the free rows
+  std::array<double, kModelRowsMax> rhs_{}, lambda_{};   // q + Ĵ ξ, λ
+  std::array<double, kModelRowsMax> lower_{}, upper_{};  // bounds of λ in this call
+  std::array<double, kModelRowsMax> gap_{}, slip_{};     // gap, and how far q has slipped
   // Column j of the Cholesky factor of S_FF starts at j · kModelRowsMax.
   std::array<double, kModelRowsMax * kModelRowsMax> factor_{};
 };

@@ -206,6 +206,8 @@ void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& pub
   lend(wire.offset_m, model.offset_m.data(), rows);
   lend(wire.multiplier_n, model.multiplier_n.data(), rows);
   lend(wire.multiplier_max_n, model.multiplier_max_n.data(), rows);
+  suture::lend(wire.bound_row, std::span<const std::int32_t>(model.bound_row.data(), rows));
+  lend(wire.bound_slope, model.bound_slope.data(), rows);
   const auto others = static_cast<std::size_t>(model.other_count);
   for (std::size_t k = 0; k < others; ++k) {
     const suture::ModelCoupling& from = model.others[k];

@@ -49,6 +49,8 @@ void set_rows(suture::HapticModel& model, const CondensedProblem& problem) {
     model.offset_m[i] = problem.offset_m[i];
     model.multiplier_n[i] = problem.multiplier_n[i];
     model.multiplier_max_n[i] = problem.multiplier_max_n[i];
+    model.bound_row[i] = problem.bound_row[i];
+    model.bound_slope[i] = problem.bound_slope[i];
   }
 }
 

@@ -47,7 +47,8 @@ bool finite(const suture::HapticModel& m) noexcept {
   for (int i = 0; i < packed; ++i) good &= std::isfinite(m.compliance_m_per_n[i]);
   for (int i = 0; i < m.rows; ++i)
     good &= all_finite(m.jacobian[i]) && std::isfinite(m.offset_m[i]) &&
-            std::isfinite(m.multiplier_n[i]) && m.multiplier_max_n[i] >= 0.0;
+            std::isfinite(m.multiplier_n[i]) && m.multiplier_max_n[i] >= 0.0 &&
+            std::isfinite(m.bound_slope[i]) && m.bound_row[i] >= 0 && m.bound_row[i] < m.rows;
   if (m.other_count < 0 || m.other_count > suture::kModelOthersMax) return false;
   for (int k = 0; k < m.other_count; ++k) {
     good &= all_finite(m.others[k].stiffness) && all_finite(m.others[k].reference.position_m) &&

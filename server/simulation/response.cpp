@@ -137,6 +137,7 @@ void ResponseBuilder::gather() {
     const constraints::Row& row = (*rows_)[i];
     Candidate candidate;
     candidate.index = u;
+    candidate.row = i;
     if (row.bounds.lower_n == 0.0) {
       candidate.multiplier_n = lambda_[at(i)];
       candidate.multiplier_max_n = row.bounds.upper_n;
@@ -145,6 +146,8 @@ void ResponseBuilder::gather() {
       // A tip that slips does not come back by what it has slipped: its gap starts at zero.
       candidate.multiplier_n = lambda_[at(i)] - row.bounds.lower_n;
       candidate.multiplier_max_n = row.bounds.upper_n - row.bounds.lower_n;
+      candidate.normal_row = row.friction_of;
+      candidate.friction_coefficient = row.friction_coefficient;
     } else {
       continue;  // a grip that slips: its force is constant, it cannot switch
     }
@@ -161,6 +164,8 @@ void ResponseBuilder::gather() {
     candidate.index = first_released + r;
     candidate.multiplier_n = std::min(force, cone) + cone;
     candidate.multiplier_max_n = 2.0 * cone;
+    candidate.normal_row = row.friction_of;
+    candidate.friction_coefficient = row.friction_coefficient;
     candidates_.push_back(candidate);
   }
 }
@@ -264,6 +269,7 @@ void ResponseBuilder::build(int tool, ToolResponse& response) {
   problem.offset_m.resize(mh);
   problem.multiplier_n.resize(mh);
   problem.multiplier_max_n.resize(mh);
+  problem.bound_slope.resize(mh);
   if (!felt) return;
 
   const auto entry = [&](int i, int j) {
@@ -329,6 +335,17 @@ void ResponseBuilder::build(int tool, ToolResponse& response) {
   for (int i = 0; i < mh; ++i) {
     problem.multiplier_n[i] = chosen_[at(i)].multiplier_n;
     problem.multiplier_max_n[i] = chosen_[at(i)].multiplier_max_n;
+  }
+  // A cone whose normal row is frozen stays as it is.
+  for (int i = 0; i < mh; ++i) {
+    const Candidate& row = chosen_[at(i)];
+    const auto normal =
+        std::find_if(chosen_.begin(), chosen_.end(), [&](const Candidate& candidate) {
+          return candidate.row >= 0 && candidate.row == row.normal_row;
+        });
+    const bool follows = normal != chosen_.end();
+    problem.bound_row[at(i)] = follows ? static_cast<int>(normal - chosen_.begin()) : 0;
+    problem.bound_slope[i] = follows ? row.friction_coefficient : 0.0;
   }
   for (int i = 0; i < mh; ++i) {
     double q = -chosen_[at(i)].gap_m;

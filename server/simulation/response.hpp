@@ -49,6 +49,8 @@ class ResponseBuilder {
   struct Candidate {
     int index = -1;  ///< in M
     double multiplier_n = 0.0, multiplier_max_n = 0.0, gap_m = 0.0;
+    int row = -1, normal_row = -1;  ///< its constraint row, and that of its normal force
+    double friction_coefficient = 0.0;
     double radius_m = 0.0;  ///< of the tool's motion within which it keeps its side
     [[nodiscard]] bool in_force() const {
       return multiplier_n > 0.0 && multiplier_n < multiplier_max_n;

@@ -50,7 +50,10 @@ struct CondensedProblem {
   Vector offset_m;                                                                  ///< q
   Vector multiplier_n;      ///< λ at ξ = 0
   Vector multiplier_max_n;  ///< λ_max, +inf where unbounded
-  int frozen_rows = 0;      ///< rows beyond kRowsMax, farthest from switching, kept on their side
+  /// The row whose multiplier λ_max follows with the slope μ: its normal force. μ = 0: fixed.
+  std::array<int, kRowsMax> bound_row{};
+  Vector bound_slope;
+  int frozen_rows = 0;  ///< rows beyond kRowsMax, farthest from switching, kept on their side
 };
 
 /// How a tool's response depends on the small motion ξ_b of another one since its own reference:

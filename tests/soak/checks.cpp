@@ -202,6 +202,7 @@ std::uint64_t hash_of(const Simulation& sim, std::uint64_t hash) {
     h.add(r.condensed.offset_m);
     h.add(r.condensed.multiplier_n);
     h.add(r.condensed.multiplier_max_n);
+    h.add(r.condensed.bound_slope);
     h.add(r.slide_twist);
     h.add(r.slide_friction_n);
     h.add(r.slide_gradient);

@@ -141,6 +141,9 @@ TEST(HapticFidelity, OfEachMotionIsWithinItsBudgetOrSaidToMissIt) {
     if (motion.name == "needle") {
       EXPECT_LE(result.model.max_pct, 3.0);
     }
+    if (motion.name == "tip") {
+      EXPECT_LE(result.model.rms_pct, 4.0);
+    }
     if (motion.name == "thread") {
       EXPECT_LE(result.model.rms_pct, 1.0);
       EXPECT_GT(result.frozen_rows_max, 0) << "more rows than a model holds were meant to meet";

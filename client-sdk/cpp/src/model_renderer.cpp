@@ -78,13 +78,21 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
   const std::size_t rows = wire.offset_m._length;
   if (rows > kModelRowsMax || wire.compliance_m_per_n._length != rows * (rows + 1) / 2 ||
       wire.jacobian._length != 6 * rows || wire.multiplier_n._length != rows ||
-      wire.multiplier_max_n._length != rows || !is_rotation(wire.reference_orientation_xyzw) ||
+      wire.multiplier_max_n._length != rows || wire.bound_row._length != rows ||
+      wire.bound_slope._length != rows || !is_rotation(wire.reference_orientation_xyzw) ||
       !is_rotation(wire.mapping.orientation_xyzw) ||
       !is_rotation(wire.mapping.tool_orientation_xyzw) || !(wire.mapping.motion_scale > 0.0) ||
       !(wire.mapping.force_scale > 0.0) || !(wire.max_force_n > 0.0) ||
       !(wire.max_torque_nm > 0.0) || !(wire.max_force_slew_n_per_s > 0.0) ||
       !(wire.max_torque_slew_nm_per_s > 0.0)) {
     return false;
+  }
+  for (std::size_t i = 0; i < rows; ++i) {
+    const auto normal = static_cast<std::int64_t>(span_of(wire.bound_row)[i]);
+    const double slope = span_of(wire.bound_slope)[i];
+    if (normal < 0 || normal >= static_cast<std::int64_t>(rows) || !std::isfinite(slope) ||
+        slope < 0.0)
+      return false;
   }
   HapticModel& model = received.model;
   model.epoch = wire.epoch;
@@ -109,7 +117,7 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
   model.touching = (wire.flags & suture_v1_MODEL_TOUCHING) != 0;
   model.rows = static_cast<std::int32_t>(rows);
   model.frozen_rows = static_cast<std::int32_t>(wire.frozen_rows);
-  const auto take = [](const auto& sequence, double* to) {
+  const auto take = [](const auto& sequence, auto* to) {
     const auto values = span_of(sequence);
     std::copy(values.begin(), values.end(), to);
   };
@@ -118,6 +126,8 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
   take(wire.offset_m, model.offset_m.data());
   take(wire.multiplier_n, model.multiplier_n.data());
   take(wire.multiplier_max_n, model.multiplier_max_n.data());
+  take(wire.bound_row, model.bound_row.data());
+  take(wire.bound_slope, model.bound_slope.data());
 
   const auto others = span_of(wire.others);
   if (others.size() > kModelOthersMax) return false;

@@ -178,6 +178,67 @@ TEST_F(ModelRendererTest, DropsModelsThatDoNotHoldTogether) {
   EXPECT_FALSE(refused([](auto&) {}));
 }
 
+/// A wall of 100 N/m pressed by 1 N, with friction across it.
+struct RoughWall {
+  std::vector<double> compliance{0.01, 0.0, 0.01}, jacobian = std::vector<double>(12),
+                                                   offset{0.01, 0.005}, multiplier{1.0, 0.5},
+                                                   multiplier_max{HUGE_VAL, 1.0}, slope{0.0, 0.5};
+  std::vector<std::int32_t> normal{0, 0};
+  v1::HapticModel wire = spring(0.0);
+
+  RoughWall() {
+    jacobian[1] = -1.0;
+    jacobian[6] = 1.0;
+    wire.bilateral_wrench[0] = 0.5;
+    lend_rows();
+  }
+  void lend_rows() {
+    lend(wire.compliance_m_per_n, std::span<const double>(compliance));
+    lend(wire.jacobian, std::span<const double>(jacobian));
+    lend(wire.offset_m, std::span<const double>(offset));
+    lend(wire.multiplier_n, std::span<const double>(multiplier));
+    lend(wire.multiplier_max_n, std::span<const double>(multiplier_max));
+    lend(wire.bound_row, std::span<const std::int32_t>(normal));
+    lend(wire.bound_slope, std::span<const double>(slope));
+  }
+};
+
+TEST_F(ModelRendererTest, KeepsFrictionInTheConeOfItsNormalForce) {
+  RoughWall wall;
+  wire_ = wall.wire;
+  Hand hand = hand_at(0.0);
+  settle(hand);
+  for (int i = 0; i < 50; ++i) {  // slides along it while it presses twice as hard
+    hand.position_m[0] += 1e-3;
+    hand.position_m[1] -= 0.01 / 50;
+    renderer_.receive(wire_, now_ns_ += kMs);
+    (void)render(hand, rendering(), now_ns_);
+  }
+  const Force force = render(hand, rendering(), now_ns_ += kMs);
+  EXPECT_NEAR(force.force_n[1], 2.0, 1e-9);
+  EXPECT_NEAR(force.force_n[0], -1.0, 1e-9);
+}
+
+TEST_F(ModelRendererTest, DropsModelsWhoseBoundsFollowNothing) {
+  const auto received = std::make_unique<ReceivedModel>();
+  RoughWall wall;
+  ASSERT_TRUE(receive_model(wall.wire, 1, {}, *received));
+  EXPECT_EQ(received->model.bound_slope[1], 0.5);
+  const auto refused = [&](auto&& spoil) {
+    RoughWall bad;
+    spoil(bad);
+    bad.lend_rows();
+    return !receive_model(bad.wire, 1, {}, *received);
+  };
+  EXPECT_TRUE(refused([](RoughWall& w) { w.normal[1] = 2; }));
+  EXPECT_TRUE(refused([](RoughWall& w) { w.normal[1] = -1; }));
+  EXPECT_TRUE(refused([](RoughWall& w) { w.normal.pop_back(); }));
+  EXPECT_TRUE(refused([](RoughWall& w) { w.slope.pop_back(); }));
+  EXPECT_TRUE(refused([](RoughWall& w) { w.slope[1] = -0.1; }));
+  EXPECT_TRUE(refused([](RoughWall& w) { w.slope[1] = std::nan(""); }));
+  EXPECT_TRUE(refused([](RoughWall& w) { w.slope[1] = HUGE_VAL; }));
+}
+
 TEST_F(ModelRendererTest, LetsNothingThroughThatIsNotFinite) {
   settle(hand_at(0.01));
   v1::HapticModel bad = spring(100.0, 2);

@@ -68,6 +68,8 @@ TEST(SetModel, LendsExactlyTheRowsInUse) {
   model.touching = true;
   model.period_ns = 4'000'000;
   model.multiplier_max_n[2] = std::numeric_limits<double>::infinity();
+  model.bound_row[1] = 2;
+  model.bound_slope[1] = 0.5;
   model.jacobian[2][5] = 7.0;
   model.compliance_m_per_n[suture::packed_index(2, 2)] = 8.0;
   suture::v1::HapticModel wire{};
@@ -80,6 +82,10 @@ TEST(SetModel, LendsExactlyTheRowsInUse) {
   EXPECT_EQ(suture::span_of(wire.compliance_m_per_n)[5], 8.0);
   EXPECT_EQ(suture::span_of(wire.jacobian)[17], 7.0);
   EXPECT_EQ(suture::span_of(wire.multiplier_max_n)[2], std::numeric_limits<double>::infinity());
+  ASSERT_EQ(wire.bound_row._length, 3U);
+  ASSERT_EQ(wire.bound_slope._length, 3U);
+  EXPECT_EQ(suture::span_of(wire.bound_row)[1], 2);
+  EXPECT_EQ(suture::span_of(wire.bound_slope)[1], 0.5);
   EXPECT_EQ(wire.flags, static_cast<std::uint32_t>(suture_v1_MODEL_TOUCHING));
   EXPECT_EQ(wire.max_force_n, 2.0);
   EXPECT_EQ(wire.blend_ns, 4'000'000);

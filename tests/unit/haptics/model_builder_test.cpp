@@ -50,6 +50,9 @@ ToolResponse random_response(int rows, unsigned seed) {
     }
   }
   problem.offset_m = problem.compliance_m_per_n * problem.multiplier_n - gap;
+  problem.bound_slope = Eigen::VectorXd::Zero(rows);
+  problem.bound_row[0] = rows - 1;
+  problem.bound_slope[0] = 0.5;
   return response;
 }
 
@@ -82,6 +85,9 @@ TEST(FillModel, CarriesAResponseUnchanged) {
     suture::HapticModel model;
     fill_model(response, model);
     EXPECT_EQ(model.rows, rows);
+    EXPECT_EQ(model.bound_row[0], rows - 1);
+    EXPECT_EQ(model.bound_slope[0], 0.5);
+    EXPECT_EQ(model.bound_slope[1], 0.0);
     const Vec6 xi = Vec6::Unit(0) * 0.5 * model.radius_m;
     EXPECT_LT((wrench_at(model, xi) - expected_at(response, xi)).norm(), 1e-9);
   }

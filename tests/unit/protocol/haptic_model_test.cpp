@@ -337,6 +337,89 @@ TEST(HapticModel, LeavesContactWithoutGlue) {
   EXPECT_EQ(evaluator.fallbacks(), 0U);
 }
 
+/// A wall of 50 N/m below y = 0 with friction μ along x, pressed by 0.05 N and stuck.
+HapticModel rough_wall(double mu) {
+  HapticModel model;
+  model.epoch = model.sequence = 1;
+  model.touching = true;
+  model.rows = 2;
+  model.compliance_m_per_n = {0.02, 0.0, 0.02};
+  model.jacobian[0] = {0, -1.0, 0, 0, 0, 0};
+  model.offset_m[0] = 1e-3;
+  model.multiplier_n[0] = 0.05;
+  model.multiplier_max_n[0] = std::numeric_limits<double>::infinity();
+  model.jacobian[1] = {1.0, 0, 0, 0, 0, 0};
+  const double cone = mu * 0.05;  // counted from −cone, so that 0 ≤ λ ≤ 2 cone
+  model.multiplier_n[1] = cone;
+  model.multiplier_max_n[1] = 2.0 * cone;
+  model.offset_m[1] = 0.02 * cone;
+  model.bilateral_wrench.force_n[0] = cone;
+  model.bound_row[1] = 0;
+  model.bound_slope[1] = mu;
+  complete_model(model);
+  return model;
+}
+
+TEST(HapticModel, SlidesAtTheConeOfTheNormalForceThatItHasNow) {
+  constexpr double kMu = 0.5;
+  const HapticModel model = rough_wall(kMu);
+  ModelEvaluator evaluator;
+  const auto force_at = [&](double x, double y) {
+    (void)evaluator.evaluate(model, moved((Vec6() << x, y, 0, 0, 0, 0).finished()));
+    // Again, for the bound is that of the normal force of the call before.
+    return evaluator.evaluate(model, moved((Vec6() << x, y, 0, 0, 0, 0).finished())).force_n;
+  };
+  EXPECT_NEAR(force_at(0.0, 0.0)[0], 0.0, 1e-12);
+  EXPECT_NEAR(force_at(2e-4, 0.0)[0], -0.01, 1e-12) << "sticks within the cone";
+  double x = 2e-4;
+  for (const double depth : {1e-3, 2e-3, 4e-3, 3e-3, 0.5e-3, 0.0, 2e-3}) {
+    x += 4e-3;
+    const auto force = force_at(x, 1e-3 - depth);
+    EXPECT_NEAR(force[1], 50.0 * depth, 1e-12);
+    EXPECT_NEAR(force[0], -kMu * 50.0 * depth, 1e-12) << depth;
+  }
+  // It slipped for good: on the way back it unloads at once, and slips again at the other side.
+  const double cone = kMu * 0.1;
+  EXPECT_NEAR(force_at(x - 1e-3, -1e-3)[0], -cone + 0.05, 1e-12);
+  EXPECT_NEAR(force_at(x - 9e-3, -1e-3)[0], cone, 1e-12);
+  EXPECT_EQ(evaluator.fallbacks(), 0U);
+}
+
+TEST(HapticModel, FindsTheConeInAModelsFirstCall) {
+  const HapticModel model = rough_wall(0.5);
+  const auto force = evaluate(model, moved((Vec6() << 8e-3, -1e-3, 0, 0, 0, 0).finished())).force_n;
+  EXPECT_NEAR(force[0], -0.5 * 0.1, 1e-12);
+  // The next model knows nothing of what slipped in the last.
+  ModelEvaluator evaluator;
+  (void)evaluator.evaluate(model, moved(Vec6::Unit(0) * 8e-3));
+  HapticModel next = model;
+  ++next.sequence;
+  EXPECT_NEAR(evaluator.evaluate(next, Pose{}).force_n[0], 0.0, 1e-12);
+}
+
+TEST(HapticModel, GivesNoFrictionThatHelpsAHandToReturnWithAHarderPress) {
+  // Out lightly and back hard: a friction that springs back would give 2 (N₂ − N₁) μ a loop.
+  const HapticModel model = rough_wall(0.5);
+  for (const double way : {1.0, -1.0}) {
+    ModelEvaluator evaluator;
+    double work = 0.0;
+    Vec6 last_xi = Vec6::Zero();
+    Vec6 last_w = vector_of(evaluator.evaluate(model, moved(last_xi)));
+    constexpr int kSteps = 4000;
+    for (int i = 1; i <= kSteps; ++i) {
+      const double t = 2.0 * M_PI * i / kSteps;
+      Vec6 xi = Vec6::Zero();
+      xi[0] = 3e-3 * (1.0 - std::cos(t));
+      xi[1] = way * 5e-4 * std::sin(t);
+      const Vec6 w = vector_of(evaluator.evaluate(model, moved(xi)));
+      work += 0.5 * (w + last_w).dot(xi - last_xi);
+      last_xi = xi, last_w = w;
+    }
+    // μ N 0.025 N over 12 mm, less what sticks.
+    EXPECT_LT(work, -0.5 * 0.025 * 0.012) << way;
+  }
+}
+
 TEST(HapticModel, SurvivesRedundantRows) {
   HapticModel model;
   model.epoch = model.sequence = 1;
@@ -386,6 +469,44 @@ TEST(HapticModel, GivesNoEnergyOnAClosedLoop) {
       EXPECT_GT(std::abs(loop_work_j(model, a, b, 4000)), 1e-3 * stored);
     }
   }
+}
+
+TEST(HapticModel, GivesNoEnergyOnALoopWhereBoundsFollowOtherRows) {
+  RandomModels random(12);
+  int followed = 0;
+  for (int trial = 0; trial < 30; ++trial) {
+    HapticModel model = random.make(9);
+    for (int i = 0; i < model.rows; i += 3) {  // those of 0.05 N
+      model.bound_row[i] = i + 1;
+      model.bound_slope[i] = random.uniform(0.1, 1.0);
+    }
+    ModelEvaluator settled;
+    for (int i = 0; i < 20; ++i) (void)settled.evaluate(model, Pose{});
+    model.multiplier_n = settled.multipliers_n();
+    ++model.sequence;
+    const Vec6 a = random.twist(1.5e-3, 0.1), b = random.twist(1.5e-3, 0.1);
+    const Mat6 stiffness = Eigen::Map<const Mat6>(model.bilateral_stiffness.data());
+    const double stored = 0.5 * (a.dot(stiffness * a) + b.dot(stiffness * b));
+    // What was in the rows at the start can come back once; a pump gives again with every loop.
+    ModelEvaluator evaluator;
+    for (int i = 0; i < 5; ++i) (void)evaluator.evaluate(model, moved(a));
+    const std::uint64_t before = evaluator.fallbacks();
+    double work = 0.0;
+    Vec6 last_xi = a;
+    Vec6 last_w = vector_of(evaluator.evaluate(model, moved(last_xi)));
+    constexpr int kLoops = 6, kSteps = 2000;
+    for (int i = 1; i <= kLoops * kSteps; ++i) {
+      const double t = 2.0 * M_PI * i / kSteps;
+      const Vec6 xi = a * std::cos(t) + b * std::sin(t);
+      const Vec6 w = vector_of(evaluator.evaluate(model, moved(xi)));
+      if (i > kSteps) work += 0.5 * (w + last_w).dot(xi - last_xi);
+      last_xi = xi, last_w = w;
+    }
+    EXPECT_EQ(evaluator.fallbacks(), before);
+    EXPECT_LT(work, (kLoops - 1) * 1e-4 * stored) << trial;
+    followed += work < -1e-3 * stored;
+  }
+  EXPECT_GT(followed, 10) << "rows were meant to slip";
 }
 
 // A rigid tool whose points r_i hang on springs: the exact wrench at any pose.

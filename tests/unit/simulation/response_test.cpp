@@ -123,8 +123,16 @@ TEST(Response, LetsTheTipSlipAtItsFrictionCone) {
   ASSERT_GT(pressed, 0.02);
   const double cone = scene.tissues[0].surface_friction_coefficient * pressed;
   int bounded = 0;
-  for (Eigen::Index i = 0; i < problem.multiplier_max_n.size(); ++i)
-    bounded += std::abs(problem.multiplier_max_n[i] - 2.0 * cone) < 0.05 * cone;
+  for (Eigen::Index i = 0; i < problem.multiplier_max_n.size(); ++i) {
+    if (std::abs(problem.multiplier_max_n[i] - 2.0 * cone) >= 0.05 * cone) {
+      EXPECT_EQ(problem.bound_slope[i], 0.0);
+      continue;
+    }
+    ++bounded;
+    EXPECT_EQ(problem.bound_slope[i], scene.tissues[0].surface_friction_coefficient);
+    EXPECT_NEAR(problem.multiplier_n[problem.bound_row[static_cast<std::size_t>(i)]], pressed,
+                0.05 * pressed);
+  }
   EXPECT_EQ(bounded, 2);  // two directions, each from −cone to cone
 }
 
