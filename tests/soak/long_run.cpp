@@ -14,6 +14,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <fstream>
 #include <mutex>
 #include <regex>
@@ -22,9 +23,11 @@
 
 #include "protocol/endpoint.hpp"
 #include "protocol/surgeon.hpp"
+#include "protocol/topics.hpp"
 #include "support/process.hpp"
 #include "support/temporary_folder.hpp"
 #include "suture/device.hpp"
+#include "suture/session.hpp"
 #include "suture/viewer.hpp"
 
 namespace sutured::soak {
@@ -34,9 +37,14 @@ const std::string kFolder = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/";
 constexpr double kMaxSlew_n_per_s = 5.0;
 // Magnitudes that this slew could not end within a ramp are lowered: below the scene's 3.3 N.
 constexpr double kMaxForce_n = 3.3;
-/// What a server may grow by after its warm-up. The history of 1000 events that late joiners get
-/// takes a third of it until it is full.
+/// What a server may grow by after its warm-up.
 constexpr double kMaxDrift_kib = 1024.0;
+// Cyclone takes the memory for what it receives from a buffer of a domain, and gets a new one when
+// that is full. One of 1 MiB, as it is by default, takes minutes: small ones are full when it is
+// warm. Each must be larger than a message's share of it, 128 KiB.
+constexpr const char* kSmallBuffers =
+    "<CycloneDDS><Domain Id=\"any\"><Sizing><ReceiveBufferSize>256 KiB</ReceiveBufferSize></Sizing>"
+    "</Domain></CycloneDDS>";
 // Of the machine (a device or a simulation held up), or of limits that do their work.
 constexpr std::uint32_t kExpected = suture_v1_FAULT_POSE_STALE | suture_v1_FAULT_MODEL_STALE |
                                     suture_v1_FAULT_MODEL_PIVOTS | suture_v1_FAULT_FORCE_LIMIT |
@@ -133,6 +141,14 @@ struct Told {
   std::uint64_t frames = 0;
 };
 
+/// Fills the history of events that the server keeps for late joiners, which would otherwise grow
+/// through most of a run: Cyclone keeps each event in 4 KiB. To resume what runs is an event too.
+void fill_history(const suture::SessionOptions& options) {
+  suture::Session session(options);
+  for (int i = 0; i < suture::topic<suture::v1::Event>().depth; ++i)
+    session.command(suture::CommandKind::kResume);
+}
+
 [[noreturn]] void load() {
   prctl(PR_SET_PDEATHSIG, SIGKILL);
   std::vector<double> data(1U << 20U, 1.0);  // 8 MB: it takes the caches too
@@ -146,6 +162,7 @@ int run(double seconds) {
   suture::ParticipantOptions session;
   session.domain = 2U * (static_cast<std::uint32_t>(getpid()) % 100U);
   session.session = "long-run-" + std::to_string(getpid());
+  setenv("CYCLONEDDS_URI", kSmallBuffers, 1);  // before there is any other thread
   testing::Process server({SUTURED_PROGRAM, "serve", write_scene(folder), "--domain",
                            std::to_string(session.domain), "--session", session.session});
   if (server.read_until("serving scene").find("serving scene") == std::string::npos)
@@ -164,6 +181,7 @@ int run(double seconds) {
   suture::SessionOptions viewing;
   viewing.domain = session.domain;
   viewing.session = session.session;
+  fill_history(viewing);
   suture::ViewerCallbacks callbacks;
   callbacks.on_frame = [&](const suture::MeshFrame&) {
     const std::lock_guard lock(told.mutex);
