@@ -108,6 +108,8 @@ Twist motion_between(const Pose& reference, const Pose& pose) noexcept {
 void ModelEvaluator::restart() noexcept {
   epoch_ = sequence_ = 0;
   factored_ = false;
+  fresh_ = true;
+  slip_ = {};
 }
 
 void ModelEvaluator::begin(const HapticModel& model) noexcept {
@@ -115,13 +117,9 @@ void ModelEvaluator::begin(const HapticModel& model) noexcept {
   sequence_ = model.sequence;
   factored_ = false;
   fresh_ = true;
-  follows_ = false;
   for (int i = 0; i < model.rows; ++i) {
     const double lambda = model.multiplier_n[i];
-    lambda_[i] = lambda;
-    lower_[i] = slip_[i] = 0.0;
-    upper_[i] = model.multiplier_max_n[i];
-    follows_ |= model.bound_slope[i] > 0.0;
+    slip_[i] = 0.0;
     state_[i] = lambda <= kMultiplierTolerance_n                               ? Row::kZero
                 : lambda >= model.multiplier_max_n[i] - kMultiplierTolerance_n ? Row::kUpper
                                                                                : Row::kFree;
@@ -240,7 +238,13 @@ void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi,
   for (int i = 0; i < model.rows; ++i) rhs_[i] = model.offset_m[i] + dot(model.jacobian[i], xi);
   for (std::size_t k = 0; k < others.size(); ++k)
     for (int i = 0; i < model.rows; ++i) rhs_[i] += dot(model.others[k].jacobian[i], others[k]);
-  if (!follows_) {
+  bool follows = false;
+  for (int i = 0; i < model.rows; ++i) {
+    lower_[i] = 0.0;
+    upper_[i] = model.multiplier_max_n[i];
+    follows |= model.bound_slope[i] > 0.0;
+  }
+  if (!follows) {
     settle(model);
     return;
   }

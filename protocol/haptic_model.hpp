@@ -197,8 +197,7 @@ class ModelEvaluator {
   double residual_m_ = 0.0;
   int free_count_ = 0;
   bool factored_ = false;
-  bool fresh_ = false;    // no call with this model yet
-  bool follows_ = false;  // a bound of this model follows another row
+  bool fresh_ = true;  // no call with this model yet
   std::array<Row, kModelRowsMax> state_{};
   std::array<Row, kModelRowsMax> wanted_{};
   std::array<std::int32_t, kModelRowsMax> free_{};       // indices of the free rows

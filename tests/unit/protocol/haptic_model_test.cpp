@@ -364,9 +364,15 @@ TEST(HapticModel, SlidesAtTheConeOfTheNormalForceThatItHasNow) {
   constexpr double kMu = 0.5;
   const HapticModel model = rough_wall(kMu);
   ModelEvaluator evaluator;
-  const auto force_at = [&](double x, double y) {
+  double last_x = 0.0;
+  const auto slide_to = [&](double x, double y) {
     (void)evaluator.evaluate(model, moved((Vec6() << x, y, 0, 0, 0, 0).finished()));
-    // Again, for the bound is that of the normal force of the call before.
+    // Two millimetres on, for the bound is that of the normal force of the call before.
+    const double on = x + std::copysign(2e-3, x - last_x);
+    last_x = x;
+    return evaluator.evaluate(model, moved((Vec6() << on, y, 0, 0, 0, 0).finished())).force_n;
+  };
+  const auto force_at = [&](double x, double y) {
     return evaluator.evaluate(model, moved((Vec6() << x, y, 0, 0, 0, 0).finished())).force_n;
   };
   EXPECT_NEAR(force_at(0.0, 0.0)[0], 0.0, 1e-12);
@@ -374,13 +380,13 @@ TEST(HapticModel, SlidesAtTheConeOfTheNormalForceThatItHasNow) {
   double x = 2e-4;
   for (const double depth : {1e-3, 2e-3, 4e-3, 3e-3, 0.5e-3, 0.0, 2e-3}) {
     x += 4e-3;
-    const auto force = force_at(x, 1e-3 - depth);
+    const auto force = slide_to(x, 1e-3 - depth);
     EXPECT_NEAR(force[1], 50.0 * depth, 1e-12);
     EXPECT_NEAR(force[0], -kMu * 50.0 * depth, 1e-12) << depth;
   }
   // It slipped for good: on the way back it unloads at once, and slips again at the other side.
   const double cone = kMu * 0.1;
-  EXPECT_NEAR(force_at(x - 1e-3, -1e-3)[0], -cone + 0.05, 1e-12);
+  EXPECT_NEAR(force_at(x + 2e-3 - 1e-3, -1e-3)[0], -cone + 0.05, 1e-12);
   EXPECT_NEAR(force_at(x - 9e-3, -1e-3)[0], cone, 1e-12);
   EXPECT_EQ(evaluator.fallbacks(), 0U);
 }
