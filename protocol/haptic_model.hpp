@@ -106,8 +106,8 @@ struct HapticModel {
 
   bool touching = false;  ///< false: the wrench is exactly zero
   /// Of the last step in which the world changed by a contact, puncture, grasp or release; 0: none.
-  /// After `sequence` of the model shown before, the force takes the ramp instead of the blend: also
-  /// where the model of that very step was overtaken and never shown.
+  /// After `sequence` of the model shown before, the force takes the ramp instead of the blend:
+  /// also where the model of that very step was overtaken and never shown.
   std::uint64_t changed_sequence = 0;
 
   std::int32_t rows = 0;         ///< m

@@ -438,8 +438,9 @@ suture::Wrench ToolChannel::model_wrench(std::int64_t now_ns) noexcept {
   if (!renders) return {};
   const suture::Wrench next = evaluate_model();
   const std::int64_t period_ns = std::max<std::int64_t>(model.period_ns, kMillisecond_ns);
-  blend_.swap(shown, next, now_ns,
-              model.changed_sequence > before ? kBlendOfChangedWorld_ns : std::min(kBlend_ns, period_ns));
+  blend_.swap(
+      shown, next, now_ns,
+      model.changed_sequence > before ? kBlendOfChangedWorld_ns : std::min(kBlend_ns, period_ns));
   return blend_.apply(next, now_ns);
 }
 
