@@ -56,7 +56,7 @@ constexpr std::int64_t kBlockColumns = 96;
 constexpr int kCapacity = 384;
 // Vertices that `prepare` takes at a time.
 constexpr std::size_t kPrepareBatch = 64;
-// From so many new vertices on their blocks of G are taken as matrix products.
+// From so many vertices that join on, their blocks of G are taken as matrix products.
 constexpr std::size_t kBatchMin = 4;
 
 }  // namespace
@@ -123,17 +123,17 @@ void Compliance::walk_new(const ConstraintRows& rows) {
 
 /// Gives each of `vertices`, none of which is known, a slot and its path.
 void Compliance::walk(std::span<const std::int32_t> vertices) {
-  new_slots_.clear();
   if (vertices.empty()) return;
   for (const std::int32_t vertex : vertices) {
     const int slot = free_slot();
     columns_[static_cast<std::size_t>(slot)].vertex = vertex;  // taken
     slot_of_vertex_[static_cast<std::size_t>(vertex)] = slot;
-    new_slots_.push_back(slot);
   }
   new_columns_.clear();  // only now: taking slots may have moved them
-  for (const int slot : new_slots_)
+  for (const std::int32_t vertex : vertices) {
+    const int slot = slot_of_vertex_[static_cast<std::size_t>(vertex)];
     new_columns_.push_back(&columns_[static_cast<std::size_t>(slot)]);
+  }
   factor_->walk_paths(vertices, new_columns_);
   walks_ += vertices.size();
 }
@@ -325,9 +325,8 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
     }
   }
   // W = T Cᵀ and what belongs to needles; C in that order, so that it is read from end to end.
-  const auto entry_count = entry_slot_.size();
   entry_offset_.clear();
-  entry_coefficient_.resize(4 * entry_count);
+  entry_coefficient_.resize(4 * entry_slot_.size());
   row_first_.clear();
   for (const int i : order_) {
     row_first_.push_back(static_cast<std::int32_t>(entry_offset_.size()));

@@ -46,7 +46,7 @@ Quaternion quaternion_of(const double (&wire)[4]) noexcept {
   return {wire[0], wire[1], wire[2], wire[3]};
 }
 
-// Both maps are those of idl/suture_v1.idl, Mapping.
+// As in idl/suture_v1.idl, Mapping; so is `to_world`.
 Wrench to_hand(const v1::Mapping& mapping, const Hand& hand, const Wrench& world) noexcept {
   if (hand.in_world) return world;
   Quaternion back = quaternion_of(mapping.orientation_xyzw);

@@ -45,10 +45,10 @@ struct ReceivedModel {
 ///
 /// The gain rises from zero within 200 ms. It falls to zero when no newer model came in time,
 /// or when the server holds forces back (a fault, a stop, a pause, a clutch), or for a fault
-/// seen here: a hand that is no pose, jumps or
-/// stays away, the device's stop, energy that nobody put in.
-/// A fault is not left to the server's word, which may be a network away or gone. While the
-/// gain falls the hand's pose is frozen; after a fault it takes 20 ms of good hands to rise.
+/// seen here: a hand that is no pose, jumps or stays away, the device's stop, energy that
+/// nobody put in. A fault is not left to the server's word, which may be a network away or
+/// gone. While the gain falls the hand's pose is frozen; after a fault it takes 20 ms of good
+/// hands to rise.
 ///
 /// Threads: `receive` on one, `render` and the rest on one. Allocates: nothing.
 class ModelRenderer {
