@@ -160,6 +160,21 @@ double closing_shortening_m(int punctures) {
   return punctures >= 20 ? 1.8e-3 : 2.5e-3;
 }
 
+scene::Scene hand_sewn_scene(int punctures) {
+  ClosureOptions options;
+  options.punctures = punctures;
+  scene::Scene scene = closure_scene(options).scene;
+  scene::Thread& thread = scene.threads[0];
+  thread.ends = scene::ThreadEnds::kHeld;
+  thread.head = scene::ThreadHead::kFree;
+  thread.tail = scene::ThreadTail::kAnchored;
+  thread.length_program.clear();
+  thread.length_m = 0.12;
+  thread.tension_max_n = 2.0;
+  scene.tools.emplace_back().name = "driver";
+  return scene;
+}
+
 double mean_gap_m(const Closure& closure, std::span<const geometry::Vec3> positions_m) {
   std::array<double, 2> z{};
   for (std::size_t which = 0; which < 2; ++which) {

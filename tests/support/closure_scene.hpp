@@ -53,6 +53,10 @@ struct Closure {
 /// it lies, by 0.21 N.
 [[nodiscard]] double closing_shortening_m(int punctures);
 
+/// Returns the two vessels sewn by `punctures` and still open, the thread anchored at its tail, its
+/// head free for the scene's one tool, "driver", to pull.
+[[nodiscard]] scene::Scene hand_sewn_scene(int punctures);
+
 /// Returns how far apart the rims are along z, on average; 1.5 mm at rest.
 [[nodiscard]] double mean_gap_m(const Closure& closure,
                                 std::span<const geometry::Vec3> positions_m);

@@ -106,19 +106,7 @@ FidelityMotion thread_pull() {
   FidelityMotion motion;
   motion.name = "thread";
   motion.title = "thread pulled through 8 punctures, 1 Hz, 53 mm/s";
-  ClosureOptions options;
-  options.punctures = 8;
-  motion.scene = closure_scene(options).scene;
-  scene::Thread& thread = motion.scene.threads[0];
-  thread.ends = scene::ThreadEnds::kHeld;
-  thread.head = scene::ThreadHead::kFree;
-  thread.tail = scene::ThreadTail::kAnchored;
-  thread.length_program.clear();
-  thread.length_m = 0.12;
-  thread.tension_max_n = 2.0;
-  scene::Tool tool;
-  tool.name = "driver";
-  motion.scene.tools.push_back(tool);
+  motion.scene = hand_sewn_scene(8);
   motion.prepare = [](Hands& hands) {
     hands.step();
     const Vec3 last = hands.thread().punctures.front().position_m;

@@ -172,6 +172,14 @@ class Serve : public ::testing::Test {
     return stamp_ns;
   }
 
+  [[nodiscard]] suture::SessionOptions session_options() const {
+    suture::SessionOptions options;
+    options.domain = session_.domain;
+    options.session = session_.session;
+    options.timeout = std::chrono::seconds(20);
+    return options;
+  }
+
   suture::ParticipantOptions session_ = testing::own_session();
   testing::TemporaryFolder folder_;
   std::string scene_ =
@@ -403,11 +411,7 @@ TEST_P(ServeHand, ObeysAStopCommandUntilAResume) {
   start_server();
   start_hand();
   ASSERT_TRUE(await_hand(true));
-  suture::SessionOptions options;
-  options.domain = session_.domain;
-  options.session = session_.session;
-  options.timeout = std::chrono::seconds(20);
-  suture::Session session(options);
+  suture::Session session(session_options());
   session.command(suture::CommandKind::kStop);
   ASSERT_TRUE(await_hand(false));
   {
@@ -423,11 +427,7 @@ TEST_P(ServeHand, IsReportedAsWhatTheHandFelt) {
   start_server();
   start_hand();
   ASSERT_TRUE(await_hand(true));
-  suture::SessionOptions options;
-  options.domain = session_.domain;
-  options.session = session_.session;
-  options.timeout = std::chrono::seconds(20);
-  suture::Session session(options);
+  suture::Session session(session_options());
   EXPECT_TRUE(eventually([&] {
     const auto status = session.next_status(std::chrono::seconds(20));
     double felt_n = 0.0;
@@ -567,11 +567,7 @@ TEST_F(Serve, ObeysPauseResumeStopAndReset) {
   start_server();
   const auto device = start_device();
   await_rendering();
-  suture::SessionOptions options;
-  options.domain = session_.domain;
-  options.session = session_.session;
-  options.timeout = std::chrono::seconds(20);
-  suture::Session session(options);
+  suture::Session session(session_options());
   const auto await_state = [&](suture_v1_ToolState state) {
     return eventually([&] {
       const ToolForce force = watcher_.last();
@@ -629,11 +625,7 @@ name = "forceps"
     const std::lock_guard lock(mutex);
     if (view.tool == "forceps") holding = view.holding;
   };
-  suture::SessionOptions options;
-  options.domain = session_.domain;
-  options.session = session_.session;
-  options.timeout = std::chrono::seconds(20);
-  suture::Viewer viewer(options, callbacks);
+  suture::Viewer viewer(session_options(), callbacks);
   RawDevice forceps(session_, "forceps");
   forceps.move_to(0.011, 0.009, kSurface_m);
   const auto holds = [&](const std::string& what) {
@@ -679,11 +671,7 @@ name = "forceps"
     EXPECT_EQ(view.thread, "thread");
     told.push_back({view.needle_path_m, view.gap_m, view.needle_drops, view.stamp_ns});
   };
-  suture::SessionOptions options;
-  options.domain = session_.domain;
-  options.session = session_.session;
-  options.timeout = std::chrono::seconds(20);
-  suture::Viewer viewer(options, callbacks);
+  suture::Viewer viewer(session_options(), callbacks);
   const auto tells = [&](auto&& what) {
     return eventually([&] {
       const std::lock_guard lock(mutex);

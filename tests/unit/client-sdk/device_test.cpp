@@ -10,6 +10,7 @@
 #include <limits>
 #include <thread>
 
+#include "support/spring_model.hpp"
 #include "support/spring_server.hpp"
 #include "support/test_session.hpp"
 
@@ -19,6 +20,7 @@ namespace {
 using std::chrono::milliseconds;
 using sutured::testing::eventually;
 using sutured::testing::own_session;
+using sutured::testing::spring_model;
 using sutured::testing::SpringServer;
 using ::testing::HasSubstr;
 
@@ -212,24 +214,11 @@ TEST(Device, RendersItselfFromTheServersModels) {
   EXPECT_EQ(server.last_pose().flags & suture_v1_POSE_RENDER_DEVICE,
             std::uint32_t{suture_v1_POSE_RENDER_DEVICE});
 
-  v1::HapticModel model{};  // 50 N/m: another answer than the server's, to tell them apart
-  set_text(model.tool, "driver");
+  // 50 N/m: another answer than the server's, to tell them apart.
+  v1::HapticModel model = spring_model(50.0, 0);
   set_guid(model.device, server.last_sender());
-  model.epoch = 1;
-  model.flags = suture_v1_MODEL_TOUCHING | suture_v1_MODEL_ENGAGED;
-  model.reference_orientation_xyzw[3] = 1.0;
-  for (int i = 0; i < 3; ++i) model.stiffness[7 * i] = model.bilateral_stiffness[7 * i] = 50.0;
-  model.radius_m = std::numeric_limits<double>::infinity();
-  model.norm_length_m = 0.01;
-  model.max_force_n = 3.0;
-  model.max_torque_nm = 0.1;
-  model.max_force_slew_n_per_s = 500.0;
-  model.max_torque_slew_nm_per_s = 15.0;
   model.stale_after_ns = 10'000'000'000;
   model.blend_ns = 1'000'000;
-  model.ramp_ns = 30'000'000;
-  model.mapping.orientation_xyzw[3] = model.mapping.tool_orientation_xyzw[3] = 1.0;
-  model.mapping.motion_scale = model.mapping.force_scale = 1.0;
   EXPECT_TRUE(eventually([&] {
     ++model.sequence_number;
     models.write(model);
@@ -323,27 +312,11 @@ TEST(Connecting, RefusesAnOddDomain) {
   EXPECT_EQ(error_of(options).code(), ErrorCode::kBadInput);
 }
 
-/// A spring of 150 N/m to the origin, where the server's own forces are of one of 100 N/m.
+/// A spring of 150 N/m, where the server's own forces are of one of 100 N/m.
 v1::HapticModel stiffer_spring(const Guid& device, std::uint64_t sequence) {
-  v1::HapticModel wire{};
-  set_text(wire.tool, "driver");
+  v1::HapticModel wire = spring_model(150.0, sequence);
   set_guid(wire.device, device);
-  wire.epoch = 1;
-  wire.sequence_number = sequence;
-  wire.flags = suture_v1_MODEL_TOUCHING | suture_v1_MODEL_ENGAGED;
-  wire.reference_orientation_xyzw[3] = 1.0;
-  for (int i = 0; i < 3; ++i) wire.stiffness[7 * i] = wire.bilateral_stiffness[7 * i] = 150.0;
-  wire.radius_m = std::numeric_limits<double>::infinity();
-  wire.norm_length_m = 0.01;
-  wire.max_force_n = 3.0;
-  wire.max_torque_nm = 0.1;
   wire.max_force_slew_n_per_s = 200.0;
-  wire.max_torque_slew_nm_per_s = 15.0;
-  wire.stale_after_ns = 20'000'000;
-  wire.blend_ns = 4'000'000;
-  wire.ramp_ns = 30'000'000;
-  wire.mapping.orientation_xyzw[3] = wire.mapping.tool_orientation_xyzw[3] = 1.0;
-  wire.mapping.motion_scale = wire.mapping.force_scale = 1.0;
   return wire;
 }
 

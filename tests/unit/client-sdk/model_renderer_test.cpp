@@ -11,36 +11,14 @@
 #include <vector>
 
 #include "support/heap_guard.hpp"
+#include "support/spring_model.hpp"
 
 namespace suture {
 namespace {
 
-constexpr std::int64_t kMs = 1'000'000;
+using sutured::testing::spring_model;
 
-/// A spring of `stiffness` to the world's origin in all directions, as a model.
-v1::HapticModel spring(double stiffness_n_per_m, std::uint64_t sequence = 1) {
-  v1::HapticModel wire{};
-  set_text(wire.tool, "driver");
-  wire.epoch = 1;
-  wire.sequence_number = sequence;
-  wire.flags = suture_v1_MODEL_TOUCHING | suture_v1_MODEL_ENGAGED;
-  wire.reference_orientation_xyzw[3] = 1.0;
-  for (int i = 0; i < 3; ++i) {
-    wire.stiffness[7 * i] = wire.bilateral_stiffness[7 * i] = stiffness_n_per_m;
-  }
-  wire.radius_m = std::numeric_limits<double>::infinity();
-  wire.norm_length_m = 0.01;
-  wire.max_force_n = 3.0;
-  wire.max_torque_nm = 0.1;
-  wire.max_force_slew_n_per_s = 500.0;
-  wire.max_torque_slew_nm_per_s = 15.0;
-  wire.stale_after_ns = 20 * kMs;
-  wire.blend_ns = 4 * kMs;
-  wire.ramp_ns = 30 * kMs;
-  wire.mapping.orientation_xyzw[3] = wire.mapping.tool_orientation_xyzw[3] = 1.0;
-  wire.mapping.motion_scale = wire.mapping.force_scale = 1.0;
-  return wire;
-}
+constexpr std::int64_t kMs = 1'000'000;
 
 Force rendering() {
   Force server;
@@ -72,7 +50,7 @@ class ModelRendererTest : public ::testing::Test {
   }
 
   ModelRenderer renderer_{DeviceLimits{}, 2.0};
-  v1::HapticModel wire_ = spring(100.0);
+  v1::HapticModel wire_ = spring_model(100.0);
   std::int64_t now_ns_ = 1000 * kMs;
 };
 
@@ -109,7 +87,7 @@ TEST_F(ModelRendererTest, MapsAndScalesADeviceFrame) {
 
 TEST_F(ModelRendererTest, BlendsFromOneModelToTheNext) {
   settle(hand_at(0.01));
-  const v1::HapticModel next = spring(120.0, 2);
+  const v1::HapticModel next = spring_model(120.0, 2);
   renderer_.receive(next, now_ns_);
   const double at_once = -render(hand_at(0.01), rendering(), now_ns_).force_n[0];
   EXPECT_NEAR(at_once, 1.0, 1e-12);  // no step at the swap
@@ -146,7 +124,7 @@ TEST_F(ModelRendererTest, ObeysTheServersStop) {
 }
 
 TEST_F(ModelRendererTest, StaysWithinTheToolsLimits) {
-  wire_ = spring(1e4);
+  wire_ = spring_model(1e4);
   Force force = settle(hand_at(0.004));  // 40 N by the model
   EXPECT_NEAR(std::abs(force.force_n[0]), 3.0, 1e-9);
   EXPECT_NE(force.faults & suture_v1_FAULT_FORCE_LIMIT, 0U);
@@ -165,7 +143,7 @@ TEST_F(ModelRendererTest, DropsModelsThatDoNotHoldTogether) {
   settle(hand_at(0.01));
   const std::vector<double> three(3, 1.0);
   const auto refused = [&](auto&& spoil) {
-    v1::HapticModel bad = spring(1e6, 9);
+    v1::HapticModel bad = spring_model(1e6, 9);
     spoil(bad);
     ReceivedModel received;
     return !receive_model(bad, 1, {}, received);
@@ -184,7 +162,7 @@ struct RoughWall {
                                                    offset{0.01, 0.005}, multiplier{1.0, 0.5},
                                                    multiplier_max{HUGE_VAL, 1.0}, slope{0.0, 0.5};
   std::vector<std::int32_t> normal{0, 0};
-  v1::HapticModel wire = spring(0.0);
+  v1::HapticModel wire = spring_model(0.0);
 
   RoughWall() {
     jacobian[1] = -1.0;
@@ -245,7 +223,7 @@ TEST_F(ModelRendererTest, DropsModelsWhoseBoundsFollowNothing) {
 
 TEST_F(ModelRendererTest, LetsNothingThroughThatIsNotFinite) {
   settle(hand_at(0.01));
-  v1::HapticModel bad = spring(100.0, 2);
+  v1::HapticModel bad = spring_model(100.0, 2);
   bad.wrench[0] = bad.bilateral_wrench[0] = std::nan("");
   renderer_.receive(bad, now_ns_ += kMs);
   for (int i = 0; i < 10; ++i) {
@@ -356,7 +334,7 @@ TEST_F(ModelRendererTest, FollowsAHandAtFourKilohertzWithoutAStepAtAnyModel) {
 
 TEST_F(ModelRendererTest, SoftensWhatTheDeviceCannotRender) {
   ModelRenderer weak({.max_stiffness_n_per_m = 500.0}, 2.0);
-  wire_ = spring(4000.0);
+  wire_ = spring_model(4000.0);
   Force force;
   for (int i = 0; i < 300; ++i) {
     weak.receive(wire_, now_ns_ += kMs);
@@ -416,7 +394,7 @@ class TwoTools : public ModelRendererTest {
     lend(wire_.others, std::span<const v1::ToolCoupling>(&coupling_, 1));
   }
   void assistant_model(double offset_m, std::uint64_t used_pose) {
-    v1::HapticModel model = spring(0.0, used_pose);
+    v1::HapticModel model = spring_model(0.0, used_pose);
     set_text(model.tool, "assistant");
     model.pose_sequence = used_pose;
     model.mapping.position_m[0] = offset_m;

@@ -81,18 +81,7 @@ TEST(Response, KnowsNoCouplingOfAToolThatTouchesNothing) {
 
 TEST(Response, KeepsRowsInForceWhereThereAreMoreThanItHolds) {
   // Two vessels pulled together by a thread in the driver's hand: contact all along the rims.
-  testing::ClosureOptions options;
-  options.punctures = 8;
-  scene::Scene scene = testing::closure_scene(options).scene;
-  scene::Thread& thread = scene.threads[0];
-  thread.ends = scene::ThreadEnds::kHeld;
-  thread.head = scene::ThreadHead::kFree;
-  thread.tail = scene::ThreadTail::kAnchored;
-  thread.length_program.clear();
-  thread.length_m = 0.12;
-  thread.tension_max_n = 2.0;
-  scene.tools.emplace_back().name = "driver";
-  Hands hands(scene);
+  Hands hands(testing::hand_sewn_scene(8));
   hands.step();
   hands.grasp(0, hands.thread().punctures.front().position_m);
   ASSERT_EQ(hands.response(0).held.kind, HeldKind::kThread);
