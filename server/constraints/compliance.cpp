@@ -19,17 +19,16 @@ SUTURED_KERNEL void add_three_rows(const double* g, std::int64_t stride, const d
   for (std::int64_t i = 0; i < count; ++i) t[i] += c[0] * g0[i] + c[1] * g1[i] + c[2] * g2[i];
 }
 
-/// t = Σ c_k g_k over the twelve rows of four vertices, as pairs in contact have them: t is written
-/// once, not read.
-SUTURED_KERNEL void set_twelve_rows(const double* const* g, std::int64_t stride, const double* c,
+/// The same over the twelve rows of four vertices, so that t is read and written once for all.
+SUTURED_KERNEL void add_twelve_rows(const double* const* g, std::int64_t stride, const double* c,
                                     std::int64_t count, double* t) {
   const double *a = g[0], *b = g[1], *d = g[2], *e = g[3];
 #pragma omp simd
   for (std::int64_t i = 0; i < count; ++i)
-    t[i] = (c[0] * a[i] + c[1] * a[i + stride] + c[2] * a[i + 2 * stride]) +
-           (c[3] * b[i] + c[4] * b[i + stride] + c[5] * b[i + 2 * stride]) +
-           (c[6] * d[i] + c[7] * d[i + stride] + c[8] * d[i + 2 * stride]) +
-           (c[9] * e[i] + c[10] * e[i + stride] + c[11] * e[i + 2 * stride]);
+    t[i] += (c[0] * a[i] + c[1] * a[i + stride] + c[2] * a[i + 2 * stride]) +
+            (c[3] * b[i] + c[4] * b[i + stride] + c[5] * b[i + 2 * stride]) +
+            (c[6] * d[i] + c[7] * d[i + stride] + c[8] * d[i + 2 * stride]) +
+            (c[9] * e[i] + c[10] * e[i + stride] + c[11] * e[i + 2 * stride]);
 }
 
 /// out[j] = Σ over the entries of row j of c · t[slot], for the first `rows` rows; four lanes at a
@@ -306,22 +305,20 @@ const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
       const auto entries = rows.entries(rows[i]);
       double* t = row_times_g_.data() + i * pitch + first;
       const int* slot = entry_slot_.data() + rows[i].first_entry;
-      if (entries.size() == 4) {
+      std::fill_n(t, count + 1, 0.0);
+      std::size_t e = 0;
+      for (; e + 4 <= entries.size(); e += 4) {
         std::array<const double*, 4> g;
         std::array<double, 12> c;
-        for (std::size_t e = 0; e < 4; ++e) {
-          g[e] = g_row(3 * slot[e]) + first;
-          std::copy_n(entries[e].coefficient.data(), 3,
-                      c.begin() + static_cast<std::ptrdiff_t>(3 * e));
+        for (std::size_t k = 0; k < 4; ++k) {
+          g[k] = g_row(3 * slot[e + k]) + first;
+          std::copy_n(entries[e + k].coefficient.data(), 3,
+                      c.begin() + static_cast<std::ptrdiff_t>(3 * k));
         }
-        set_twelve_rows(g.data(), stride, c.data(), count, t);
-      } else {
-        std::fill_n(t, count, 0.0);
-        for (std::size_t e = 0; e < entries.size(); ++e)
-          add_three_rows(g_row(3 * slot[e]) + first, stride, entries[e].coefficient.data(), count,
-                         t);
+        add_twelve_rows(g.data(), stride, c.data(), count, t);
       }
-      t[count] = 0.0;
+      for (; e < entries.size(); ++e)
+        add_three_rows(g_row(3 * slot[e]) + first, stride, entries[e].coefficient.data(), count, t);
     }
   }
   // W = T Cᵀ and what belongs to needles; C in that order, so that it is read from end to end.
