@@ -7,12 +7,12 @@ namespace {
 using QosPtr = std::unique_ptr<dds_qos_t, decltype(&dds_delete_qos)>;
 using ListenerPtr = std::unique_ptr<dds_listener_t, decltype(&dds_delete_listener)>;
 
-QosPtr endpoint_qos(const TopicSpec& spec, bool writer) {
+QosPtr endpoint_qos(const TopicSpec& spec, bool writer, int depth) {
   QosPtr qos(dds_create_qos(), &dds_delete_qos);
   dds_qset_reliability(qos.get(),
                        spec.reliable ? DDS_RELIABILITY_RELIABLE : DDS_RELIABILITY_BEST_EFFORT,
                        DDS_MSECS(10));
-  dds_qset_history(qos.get(), DDS_HISTORY_KEEP_LAST, spec.depth);
+  dds_qset_history(qos.get(), DDS_HISTORY_KEEP_LAST, depth);
   // Metadata is what makes types assignable or not; a client built against another
   // version of a type must not be mistaken for one that fits.
   dds_qset_type_consistency(qos.get(), DDS_TYPE_CONSISTENCY_DISALLOW_TYPE_COERCION, false, false,
@@ -115,7 +115,7 @@ void Endpoint::finish(dds_entity_t handle, const char* what, const TopicSpec& sp
 }
 
 void Endpoint::open_reader(const Participant& participant, const TopicSpec& spec,
-                           EndpointCallbacks callbacks) {
+                           EndpointCallbacks callbacks, int depth) {
   open_topic(participant, spec);
   callbacks_ = std::make_unique<EndpointCallbacks>(std::move(callbacks));
   const ListenerPtr listener(dds_create_listener(callbacks_.get()), &dds_delete_listener);
@@ -124,7 +124,7 @@ void Endpoint::open_reader(const Participant& participant, const TopicSpec& spec
   if (callbacks_->incompatible_qos) {
     dds_lset_requested_incompatible_qos(listener.get(), on_requested_incompatible);
   }
-  finish(dds_create_reader(participant.subscriber(), topic_, endpoint_qos(spec, false).get(),
+  finish(dds_create_reader(participant.subscriber(), topic_, endpoint_qos(spec, false, depth).get(),
                            listener.get()),
          "reader", spec);
 }
@@ -138,8 +138,8 @@ void Endpoint::open_writer(const Participant& participant, const TopicSpec& spec
   if (callbacks_->incompatible_qos) {
     dds_lset_offered_incompatible_qos(listener.get(), on_offered_incompatible);
   }
-  finish(dds_create_writer(participant.publisher(), topic_, endpoint_qos(spec, true).get(),
-                           listener.get()),
+  finish(dds_create_writer(participant.publisher(), topic_,
+                           endpoint_qos(spec, true, spec.depth).get(), listener.get()),
          "writer", spec);
 }
 

@@ -37,6 +37,12 @@ struct SampleInfo {
   std::uint64_t writer = 0;    ///< the writer, within this process; see Reader::writer_guid
 };
 
+/// Translates what Cyclone says of a sample.
+[[nodiscard]] inline SampleInfo sample_info(const dds_sample_info_t& raw) noexcept {
+  return {raw.valid_data, raw.instance_state == DDS_ALIVE_INSTANCE_STATE, raw.source_timestamp,
+          raw.publication_handle};
+}
+
 /// The part of a reader or writer that knows no type.
 class Endpoint {
  public:
@@ -56,9 +62,9 @@ class Endpoint {
     return *this;
   }
 
-  /// Throws Error where Cyclone refuses.
+  /// Throws Error where Cyclone refuses. `depth` samples an instance wait for the taker.
   void open_reader(const Participant& participant, const TopicSpec& spec,
-                   EndpointCallbacks callbacks);
+                   EndpointCallbacks callbacks, int depth);
   void open_writer(const Participant& participant, const TopicSpec& spec,
                    EndpointCallbacks callbacks);
   void close() noexcept;
@@ -87,7 +93,7 @@ class Reader : public Endpoint {
  public:
   Reader() = default;
   explicit Reader(const Participant& participant, EndpointCallbacks callbacks = {}) {
-    open_reader(participant, topic<T>(), std::move(callbacks));
+    open_reader(participant, topic<T>(), std::move(callbacks), topic<T>().depth);
   }
 
   /// Copies the next sample into `sample`; false where none waits. Allocates nothing.
@@ -95,7 +101,7 @@ class Reader : public Endpoint {
     void* place = &sample;
     dds_sample_info_t raw;
     if (dds_take(handle(), &place, &raw, 1, 1) <= 0) return false;
-    info = translate(raw);
+    info = sample_info(raw);
     return true;
   }
 
@@ -110,7 +116,7 @@ class Reader : public Endpoint {
       if (dds_take(handle(), &sample, &raw, 1, 1) <= 0) break;
       ++taken;
       const Loan loan{handle(), sample};
-      use(*static_cast<const T*>(sample), translate(raw));
+      use(*static_cast<const T*>(sample), sample_info(raw));
     }
     return taken;
   }
@@ -124,7 +130,7 @@ class Reader : public Endpoint {
     if (dds_read(handle(), &sample, &raw, 1, 1) <= 0) return false;
     const Loan loan{handle(), sample};
     if (!raw.valid_data) return false;
-    use(*static_cast<const T*>(sample), translate(raw));
+    use(*static_cast<const T*>(sample), sample_info(raw));
     return true;
   }
 
@@ -160,11 +166,6 @@ class Reader : public Endpoint {
     void* sample;
     ~Loan() { dds_return_loan(reader, &sample, 1); }
   };
-
-  static SampleInfo translate(const dds_sample_info_t& raw) noexcept {
-    return {raw.valid_data, raw.instance_state == DDS_ALIVE_INSTANCE_STATE, raw.source_timestamp,
-            raw.publication_handle};
-  }
 };
 
 /// Sends samples on the topic that carries `T`.

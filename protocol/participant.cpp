@@ -15,10 +15,17 @@ namespace {
 // domain whose ports fit into 16 bits is 232; N + 1 must fit too.
 constexpr std::uint32_t kMaxDomain = 230;
 
-std::string domain_configuration(Channel channel, bool realtime) {
+// A separate participant's domain is another one within the process, and the same on the
+// network.
+constexpr std::uint32_t kSeparate = 1000;
+
+std::string domain_configuration(std::uint32_t network_domain, Channel channel, bool realtime) {
   std::string xml =
       "<CycloneDDS><Domain Id=\"any\">"
       "<Tracing><Verbosity>severe</Verbosity><OutputFile>stderr</OutputFile></Tracing>"
+      "<Discovery><ExternalDomainId>" +
+      std::to_string(network_domain) +
+      "</ExternalDomainId></Discovery>"
       "<Internal><MultipleReceiveThreads>false</MultipleReceiveThreads>";
   if (channel == Channel::kMesh) xml += "<SocketReceiveBufferSize max=\"4MB\"/>";
   xml += "</Internal>";
@@ -58,21 +65,22 @@ Domains& domains() {
   return instance;
 }
 
-bool open_domain(std::uint32_t id, Channel channel) {
+bool open_domain(std::uint32_t id, std::uint32_t network_domain, Channel channel) {
   Domains& all = domains();
   const std::lock_guard lock(all.mutex);
   Domains::Use& use = all.uses[id];
   if (use.users == 0 && use.handle == 0) {
-    const bool realtime = channel == Channel::kControl && may_run_realtime(kReceivePriority);
+    const bool realtime =
+        id == network_domain && channel == Channel::kControl && may_run_realtime(kReceivePriority);
     const dds_entity_t handle =
-        dds_create_domain(id, domain_configuration(channel, realtime).c_str());
+        dds_create_domain(id, domain_configuration(network_domain, channel, realtime).c_str());
     if (handle < 0 && handle != DDS_RETCODE_PRECONDITION_NOT_MET) {
       all.uses.erase(id);
-      throw Error(
-          ErrorCode::kNetwork,
-          "DDS domain " + std::to_string(id) + " cannot be configured: " + dds_strretcode(handle),
-          "check that a network interface is up and that CYCLONEDDS_URI, if set, "
-          "is valid (its faults are printed above)");
+      throw Error(ErrorCode::kNetwork,
+                  "DDS domain " + std::to_string(network_domain) +
+                      " cannot be configured: " + dds_strretcode(handle),
+                  "check that a network interface is up and that CYCLONEDDS_URI, if set, "
+                  "is valid (its faults are printed above)");
     }
     use.handle = handle > 0 ? handle : 0;
     use.realtime = handle > 0 && realtime;
@@ -159,8 +167,9 @@ Participant::Participant(const ParticipantOptions& options, Channel channel)
   State& state = *state_;
   state.options = options;
   state.channel = channel;
-  state.domain = options.domain + (channel == Channel::kMesh ? 1U : 0U);
-  state.realtime = open_domain(state.domain, channel);
+  const std::uint32_t network_domain = options.domain + (channel == Channel::kMesh ? 1U : 0U);
+  state.domain = network_domain + (options.separate ? kSeparate : 0U);
+  state.realtime = open_domain(state.domain, network_domain, channel);
   state.opened = true;
 
   const QosPtr qos(dds_create_qos(), &dds_delete_qos);
@@ -169,7 +178,7 @@ Participant::Participant(const ParticipantOptions& options, Channel channel)
   }
   state.participant = dds_create_participant(state.domain, qos.get(), nullptr);
   if (state.participant < 0) {
-    throw_dds_error(state.participant, "joining DDS domain " + std::to_string(state.domain));
+    throw_dds_error(state.participant, "joining DDS domain " + std::to_string(network_domain));
   }
   const QosPtr group(dds_create_qos(), &dds_delete_qos);
   const char* partition = state.options.session.c_str();

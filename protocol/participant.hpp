@@ -22,6 +22,11 @@ struct ParticipantOptions {
   /// Properties of the participant's QoS, such as those of DDS Security
   /// (`dds.sec.auth.identity_ca`, …): security is configuration, not code.
   std::vector<std::pair<std::string, std::string>> properties;
+  /// Take part as if from another process, with receive threads of one's own: what is
+  /// written reaches the other participants of this process by the network, never on the
+  /// writing thread. For those who serve strangers inside a process that renders forces.
+  /// Settings of `CYCLONEDDS_URI` must then stand under `<Domain Id="any">`.
+  bool separate = false;
 };
 
 /// Says whether the present process may run SCHED_FIFO threads of `priority`: it
