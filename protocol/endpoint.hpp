@@ -35,12 +35,13 @@ struct SampleInfo {
   bool writers_alive = false;  ///< false: the last writer of the instance has left
   std::int64_t stamp_ns = 0;   ///< when it was written, on the writer's system clock
   std::uint64_t writer = 0;    ///< the writer, within this process; see Reader::writer_guid
+  std::uint64_t instance = 0;  ///< what the key names, within this process
 };
 
 /// Translates what Cyclone says of a sample.
 [[nodiscard]] inline SampleInfo sample_info(const dds_sample_info_t& raw) noexcept {
   return {raw.valid_data, raw.instance_state == DDS_ALIVE_INSTANCE_STATE, raw.source_timestamp,
-          raw.publication_handle};
+          raw.publication_handle, raw.instance_handle};
 }
 
 /// The part of a reader or writer that knows no type.

@@ -39,6 +39,7 @@ using Event = suture_v1_Event;
 using ServerState = suture_v1_ServerState;
 using Percentiles = suture_v1_Percentiles;
 using ToolStatus = suture_v1_ToolStatus;
+using StageTime = suture_v1_StageTime;
 using ServerStatus = suture_v1_ServerStatus;
 using CommandKind = suture_v1_CommandKind;
 using Command = suture_v1_Command;

@@ -7,6 +7,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <filesystem>
 #include <iostream>
@@ -14,9 +15,12 @@
 #include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "commands/run_record.hpp"
 #include "endpoints/server.hpp"
+#include "gateway/gateway.hpp"
+#include "gateway/site.hpp"
 #include "protocol/number_option.hpp"
 #include "protocol/types.hpp"
 #include "scene/scene_reader.hpp"
@@ -31,6 +35,8 @@ struct Options {
   std::string session;
   std::uint32_t domain = 0;
   std::string http = "off";
+  std::string http_tokens, http_page, http_certificate, http_key;
+  std::vector<std::string> http_origins;
   double rate_hz = 0.0;
   double duration_s = 0.0;
   std::string out;  ///< empty: no record
@@ -89,6 +95,38 @@ class EndSignals {
   sigset_t set_{}, before_{};
 };
 
+/// Splits `ADDR:PORT`, `[ADDR]:PORT` or `PORT`; false where it is none of them.
+bool split_address(const std::string& text, std::string& address, std::uint16_t& port) {
+  const std::size_t colon = text.rfind(':');
+  std::string host = colon == std::string::npos ? "127.0.0.1" : text.substr(0, colon);
+  const std::string number = colon == std::string::npos ? text : text.substr(colon + 1);
+  if (host.size() > 2 && host.front() == '[' && host.back() == ']')
+    host = host.substr(1, host.size() - 2);
+  else if (host.empty() || host.find(':') != std::string::npos)
+    return false;
+  unsigned value = 0;
+  const auto [end, error] = std::from_chars(number.data(), number.data() + number.size(), value);
+  if (error != std::errc() || end != number.data() + number.size() || value > 65535) return false;
+  address = host == "localhost" ? "127.0.0.1" : host;
+  port = static_cast<std::uint16_t>(value);
+  return true;
+}
+
+gateway::Gateway::Options gateway_options(const Options& options, spdlog::logger& log) {
+  gateway::Gateway::Options web;
+  split_address(options.http, web.address, web.port);
+  web.page =
+      options.http_page.empty() ? gateway::page_folder() : std::filesystem::path(options.http_page);
+  web.tokens = options.http_tokens;
+  web.origins = options.http_origins;
+  web.certificate = options.http_certificate;
+  web.key = options.http_key;
+  web.log = [&log](bool bad, const std::string& text) {
+    log.log(bad ? spdlog::level::err : spdlog::level::info, "{}", text);
+  };
+  return web;
+}
+
 int exit_code_of(suture::ErrorCode code) {
   switch (code) {
     case suture::ErrorCode::kBadInput:
@@ -127,6 +165,15 @@ int serve(const Options& options) {
       "serving scene \"{}\" at {} Hz in domain {}, {}; Ctrl-C ends", name, rate_hz, options.domain,
       options.session.empty() ? "the default session" : "session \"" + options.session + "\"");
 
+  std::optional<gateway::Gateway> web;
+  if (options.http != "off") {
+    suture::ParticipantOptions session;
+    session.domain = options.domain;
+    session.session = options.session;
+    web.emplace(session, gateway_options(options, *log));
+    log->info("viewer at {}", web->url());
+  }
+
   constexpr std::int64_t kLook_ns = 200'000'000;
   const std::int64_t end_ns =
       options.duration_s > 0.0
@@ -148,6 +195,7 @@ int serve(const Options& options) {
   }
   const std::string summary = server.summary();
   server.stop(reason);
+  web.reset();
   if (record && !record->failure().empty()) {
     log->error("{}", record->failure());
     code = kSceneFailed;
@@ -179,12 +227,31 @@ void add_serve_command(CLI::App& app, int& exit_code) {
                       "Session name: servers and devices of one name meet (a DDS partition)");
   command->add_option("--domain", options->domain,
                       "DDS domain, even; meshes for viewers travel in the next one");
-  command->add_option("--http", options->http, "Gateway for browsers: only 'off' for now")
+  command
+      ->add_option("--http", options->http,
+                   "Gateway for browsers and web tools: ADDR:PORT, PORT (on 127.0.0.1) or off; "
+                   "port 0: any free one")
       ->check([](const std::string& value) {
-        return value == "off" ? std::string()
-                              : "the gateway is not part of this version: leave --http out, "
-                                "or say 'off'";
-      });
+        std::string address;
+        std::uint16_t port = 0;
+        return value == "off" || split_address(value, address, port)
+                   ? std::string()
+                   : "\"" + value +
+                         "\" is not an address: say 127.0.0.1:8080, [::1]:8080, 8080 or off";
+      })
+      ->capture_default_str();
+  command->add_option("--http-tokens", options->http_tokens,
+                      "File of the tokens that web clients must bring (docs/guide/viewer.md); "
+                      "needed where ADDR is not loopback");
+  command->add_option("--http-origin", options->http_origins,
+                      "Pages of this origin may connect too, as https://example.org; repeatable");
+  CLI::Option* certificate = command->add_option("--http-certificate", options->http_certificate,
+                                                 "PEM file: serve by TLS");
+  CLI::Option* key =
+      command->add_option("--http-key", options->http_key, "PEM file: its private key");
+  certificate->needs(key);
+  key->needs(certificate);
+  command->add_option("--http-page", options->http_page, "Folder of the web page, if not ours");
   command->add_option("--rate", options->rate_hz, "Steps a second, instead of the scene's")
       ->check(suture::within(30.0, 1000.0, "Hz"));
   command->add_option("--duration", options->duration_s, "End after so many seconds")
@@ -195,6 +262,7 @@ void add_serve_command(CLI::App& app, int& exit_code) {
       "Examples:\n"
       "  sutured serve server/scenes/anastomosis/scene.toml\n"
       "  sutured serve scene.toml --session class-a --domain 4 --duration 60\n"
+      "  sutured serve scene.toml --http 8080\n"
       "Exit codes: 0 ended as asked, 1 the scene or the simulation failed, 2 command line,\n"
       "  3 another server has this session, 4 network or permission.");
   command->callback([options, &exit_code] { exit_code = serve_and_tell(*options); });

@@ -497,7 +497,16 @@ void ScenePublisher::publish_status(suture_v1_ServerState state, const std::stri
   status.steps = served_.loop.steps();
   status.rate_hz = served_.rate_hz;
   status.achieved_rate_hz = static_cast<double>(status.steps - steps_then_) / elapsed_s;
+  const double steps = std::max(static_cast<double>(status.steps - steps_then_), 1.0);
   steps_then_ = status.steps;
+  const auto stage_ns = served_.loop.stage_ns();
+  std::array<suture::v1::StageTime, haptics::SimulationLoop::kStages> stages{};
+  for (std::size_t i = 0; i < stages.size(); ++i) {
+    suture::set_text(stages[i].stage, haptics::SimulationLoop::kStageNames[i]);
+    stages[i].mean_us = static_cast<double>(stage_ns[i] - stage_ns_then_[i]) * 1e-3 / steps;
+  }
+  stage_ns_then_ = stage_ns;
+  suture::lend(status.stages, std::span<const suture::v1::StageTime>(stages));
   status.overruns = served_.loop.overruns();
   status.step = percentiles(served_.loop.take_step_times());
   status.wakeup = percentiles(served_.supervisor.take_wakeup());

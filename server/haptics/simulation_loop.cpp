@@ -126,6 +126,12 @@ void SimulationLoop::step(std::int64_t now_ns, double dt_s) {
   steps_.fetch_add(1, std::memory_order_relaxed);
   publish_models(now_ns);
   step_times_.record(suture::monotonic_ns() - now_ns);
+  const simulation::StepReport& report = simulation_.report();
+  const std::array<std::int64_t, kStages> stages{report.track_ns,    report.contact_ns,
+                                                 report.assemble_ns, report.solve_ns,
+                                                 report.backward_ns, report.model_ns};
+  for (std::size_t i = 0; i < kStages; ++i)
+    stage_ns_[i].fetch_add(stages[i], std::memory_order_relaxed);
   if (options_.models_published) options_.models_published();
   publish_events();
   if (options_.quality) options_.quality->watch(simulation::quality_view(simulation_));

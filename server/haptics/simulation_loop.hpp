@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <functional>
@@ -8,6 +9,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <thread>
 #include <vector>
 
@@ -107,6 +109,15 @@ class SimulationLoop {
 
   /// Returns how long steps took (without display) since the last call. One caller.
   LatencySummary take_step_times() noexcept { return step_times_.take(); }
+  /// Nanoseconds spent in a stage of the step since start.
+  static constexpr std::size_t kStages = 6;
+  static constexpr std::array<std::string_view, kStages> kStageNames{
+      "track", "contact", "assemble", "solve", "backward", "model"};
+  [[nodiscard]] std::array<std::int64_t, kStages> stage_ns() const noexcept {
+    std::array<std::int64_t, kStages> all{};
+    for (std::size_t i = 0; i < kStages; ++i) all[i] = stage_ns_[i].load(std::memory_order_relaxed);
+    return all;
+  }
   [[nodiscard]] std::uint64_t steps() const noexcept {
     return steps_.load(std::memory_order_relaxed);
   }
@@ -148,6 +159,7 @@ class SimulationLoop {
   std::int64_t shown_ns_ = 0, measured_ns_ = 0;
 
   PeriodLatency step_times_;
+  std::array<std::atomic<std::int64_t>, kStages> stage_ns_{};
   std::atomic<std::uint64_t> epoch_{0}, steps_{0}, overruns_{0}, resets_asked_{0};
   std::atomic<bool> paused_{false}, stop_{false}, failed_{false};
   std::string failure_;  // written before failed_ is set

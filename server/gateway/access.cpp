@@ -1,0 +1,213 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "gateway/access.hpp"
+
+#include <arpa/inet.h>
+#include <openssl/crypto.h>
+#include <openssl/evp.h>
+
+#include <toml++/toml.h>
+#include <algorithm>
+#include <array>
+#include <sstream>
+
+#include "protocol/types.hpp"
+#include "suture/error.hpp"
+
+namespace sutured::gateway {
+namespace {
+
+constexpr std::size_t kDigest = 64;  // hex digits
+
+std::string lower(std::string_view text) {
+  std::string result(text);
+  std::transform(result.begin(), result.end(), result.begin(), [](char c) {
+    return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
+  });
+  return result;
+}
+
+// `127.0.0.1:8080` without its port; `[::1]:8080` without that and the brackets.
+std::string host_of(std::string_view authority) {
+  if (authority.starts_with('[')) return lower(authority.substr(1, authority.find(']') - 1));
+  return lower(authority.substr(0, authority.find(':')));
+}
+
+// The value of `name` in `a=b&c=d`. Tokens are of letters and digits that need no escape.
+std::string_view parameter(std::string_view query, std::string_view name) noexcept {
+  while (!query.empty()) {
+    const std::size_t end = query.find('&');
+    const std::string_view pair = query.substr(0, end);
+    if (pair.starts_with(name) && pair.size() > name.size() && pair[name.size()] == '=')
+      return pair.substr(name.size() + 1);
+    if (end == std::string_view::npos) break;
+    query.remove_prefix(end + 1);
+  }
+  return {};
+}
+
+std::string_view token_of(const Request& request) noexcept {
+  constexpr std::string_view kBearer = "Bearer ";
+  if (std::string_view(request.authorization).starts_with(kBearer))
+    return std::string_view(request.authorization).substr(kBearer.size());
+  return parameter(request.query, "token");
+}
+
+[[noreturn]] void refuse_file(const std::filesystem::path& file, const toml::source_region& place,
+                              const std::string& what) {
+  std::ostringstream where;
+  where << file.string() << ':' << place.begin.line << ':' << place.begin.column << ": " << what;
+  throw suture::Error(suture::ErrorCode::kBadInput, where.str(),
+                      "a token has name, sha256 and rights: docs/guide/viewer.md");
+}
+
+}  // namespace
+
+bool Rights::may_drive(std::uint64_t tool_id) const noexcept {
+  return drive_all || std::find(tools.begin(), tools.end(), tool_id) != tools.end();
+}
+
+std::string sha256_hex(std::string_view text) {
+  std::array<unsigned char, EVP_MAX_MD_SIZE> digest{};
+  unsigned size = 0;
+  EVP_Digest(text.data(), text.size(), digest.data(), &size, EVP_sha256(), nullptr);
+  constexpr std::string_view kHex = "0123456789abcdef";
+  std::string hex;
+  for (unsigned i = 0; i < size; ++i) {
+    hex += kHex[digest[i] >> 4U];
+    hex += kHex[digest[i] & 15U];
+  }
+  return hex;
+}
+
+bool is_loopback(std::string_view address) noexcept {
+  std::array<char, INET6_ADDRSTRLEN + 1> text{};
+  if (address.size() >= text.size()) return false;
+  std::copy(address.begin(), address.end(), text.begin());
+  in_addr v4{};
+  if (inet_pton(AF_INET, text.data(), &v4) == 1) return ntohl(v4.s_addr) >> 24U == 127;
+  in6_addr v6{};
+  return inet_pton(AF_INET6, text.data(), &v6) == 1 && IN6_IS_ADDR_LOOPBACK(&v6) != 0;
+}
+
+Access::Access(Options options)
+    : options_(std::move(options)), loopback_(is_loopback(options_.address)) {
+  if (options_.tokens.empty()) {
+    if (!loopback_)
+      throw suture::Error(suture::ErrorCode::kBadInput,
+                          "--http " + options_.address + " would let everybody in",
+                          "give --http-tokens FILE (docs/guide/viewer.md), or a loopback address");
+    return;
+  }
+  std::error_code error;
+  read_at_ = std::filesystem::last_write_time(options_.tokens, error);
+  tokens_ = read(options_.tokens);
+}
+
+std::vector<Access::Token> Access::read(const std::filesystem::path& file) {
+  toml::table table;
+  try {
+    table = toml::parse_file(file.string());
+  } catch (const toml::parse_error& error) {
+    refuse_file(file, error.source(), std::string(error.description()));
+  }
+  for (const auto& [key, value] : table)
+    if (key != "token")
+      refuse_file(file, value.source(), "unknown key \"" + std::string(key) + "\"");
+  std::vector<Token> tokens;
+  const toml::array* list = table["token"].as_array();
+  if (list == nullptr) refuse_file(file, table.source(), "there is no [[token]]");
+  for (const toml::node& node : *list) {
+    const toml::table* entry = node.as_table();
+    if (entry == nullptr) refuse_file(file, node.source(), "\"token\" must be a [[token]]");
+    for (const auto& [key, value] : *entry)
+      if (key != "name" && key != "sha256" && key != "rights")
+        refuse_file(file, value.source(), "unknown key \"" + std::string(key) + "\"");
+    Token token;
+    token.name = (*entry)["name"].value_or(std::string());
+    if (token.name.empty()) refuse_file(file, entry->source(), "a token needs a name");
+    token.digest = lower((*entry)["sha256"].value_or(std::string()));
+    if (token.digest.size() != kDigest ||
+        token.digest.find_first_not_of("0123456789abcdef") != std::string::npos)
+      refuse_file(file, entry->source(), "\"sha256\" must be 64 hex digits");
+    const toml::array* rights = (*entry)["rights"].as_array();
+    if (rights == nullptr)
+      refuse_file(file, entry->source(), "\"rights\" must be a list; [] is to look only");
+    for (const toml::node& node_of_right : *rights) {
+      const std::string right = node_of_right.value_or(std::string());
+      constexpr std::string_view kDrive = "drive:";
+      if (right == "command") {
+        token.rights.command = true;
+      } else if (right == "drive:*") {
+        token.rights.drive_all = true;
+      } else if (right.starts_with(kDrive) && right.size() > kDrive.size()) {
+        token.rights.tools.push_back(suture::tool_id(right.substr(kDrive.size())));
+      } else {
+        refuse_file(file, node_of_right.source(),
+                    "a right is \"command\", \"drive:*\" or \"drive:TOOL\"");
+      }
+    }
+    tokens.push_back(std::move(token));
+  }
+  return tokens;
+}
+
+// Compares with every token in the same time, whichever fits.
+const Access::Token* Access::find(std::string_view digest) const noexcept {
+  const Token* found = nullptr;
+  for (const Token& token : tokens_)
+    if (digest.size() == kDigest && CRYPTO_memcmp(token.digest.data(), digest.data(), kDigest) == 0)
+      found = &token;
+  return found;
+}
+
+std::optional<Reply> Access::refuse(const Request& request) const {
+  if (loopback_) {
+    const std::string host = host_of(request.host);
+    if (host != "localhost" && !is_loopback(host))
+      return plain_reply(403, "this server answers to loopback names only");
+  }
+  if (request.origin.empty()) return std::nullopt;  // not from a page
+  const std::string origin = lower(request.origin);
+  const std::string host = lower(request.host);
+  if (origin == "http://" + host || origin == "https://" + host) return std::nullopt;
+  for (const std::string& allowed : options_.origins)
+    if (origin == lower(allowed)) return std::nullopt;
+  return plain_reply(403, "pages of that origin may not connect: --http-origin allows one");
+}
+
+std::optional<Grant> Access::grant(const Request& request) const {
+  if (options_.tokens.empty()) {
+    Grant everything;
+    everything.rights.command = everything.rights.drive_all = true;
+    return everything;
+  }
+  const std::string_view text = token_of(request);
+  if (text.empty()) return std::nullopt;
+  const Token* token = find(sha256_hex(text));
+  if (token == nullptr) return std::nullopt;
+  return Grant{token->name, token->digest, token->rights};
+}
+
+bool Access::renew(Grant& grant) const {
+  if (options_.tokens.empty()) return true;
+  const Token* token = find(grant.digest);
+  if (token == nullptr) return false;
+  grant.rights = token->rights;
+  return true;
+}
+
+std::string Access::reload() {
+  if (options_.tokens.empty()) return {};
+  std::error_code error;
+  const auto written = std::filesystem::last_write_time(options_.tokens, error);
+  if (error || written == read_at_) return {};
+  read_at_ = written;
+  try {
+    tokens_ = read(options_.tokens);
+  } catch (const suture::Error& fault) {
+    return fault.what();
+  }
+  return {};
+}
+
+}  // namespace sutured::gateway
