@@ -33,7 +33,7 @@ ddsi_sertype* type_of(dds_entity_t participant, dds_entity_t topic, std::size_t 
   const dds_entity_t subscriber = dds_create_subscriber(participant, qos.get(), nullptr);
   const dds_entity_t reader = dds_create_reader(subscriber, topic, nullptr, nullptr);
   const dds_entity_t writer = dds_create_writer(publisher, topic, nullptr, nullptr);
-  const std::vector<std::max_align_t> zeros(sample_size / sizeof(std::max_align_t) + 1);
+  const std::vector<std::uint64_t> zeros(sample_size / sizeof(std::uint64_t) + 1);
   ddsi_sertype* type = nullptr;
   ddsi_serdata* data = nullptr;
   dds_sample_info_t info;

@@ -16,6 +16,8 @@ namespace sutured::endpoints {
 namespace {
 
 constexpr std::int64_t kBeat_ns = 10'000'000;
+// While the simulation is paused, whoever comes shall see what there is.
+constexpr std::int64_t kRepeat_ns = 500'000'000;
 constexpr std::int64_t kStatusPeriod_ns = 500'000'000;
 constexpr std::int64_t kQualityPeriod_ns = 500'000'000;
 // A fault that lasts, or comes a thousand times a second, is told once a second.
@@ -107,7 +109,7 @@ void ScenePublisher::run() noexcept {
     finish_resets();
     publish_events(now_ns);
     if (served_.loop.epoch() != topology_epoch_) publish_topology();
-    if (const haptics::DisplayFrame* frame = served_.loop.next_frame()) publish_frame(*frame);
+    show(now_ns);
     if (now_ns - status_ns_ >= kStatusPeriod_ns) publish_status(state(), served_.loop.failure());
     due_ns = haptics::next_tick(due_ns, suture::monotonic_ns(), kBeat_ns).at_ns;
   }
@@ -142,6 +144,15 @@ void ScenePublisher::publish_topology() {
     suture::lend(wire.triangle, std::span<const std::uint32_t>(triangle));
     topologies_.write(wire);
   }
+}
+
+void ScenePublisher::show(std::int64_t now_ns) {
+  const haptics::DisplayFrame* fresh = served_.loop.next_frame();
+  if (fresh != nullptr) shown_ = fresh;
+  const bool due = fresh != nullptr || now_ns - shown_ns_ >= kRepeat_ns;
+  if (!due || shown_ == nullptr || shown_->epoch != topology_epoch_) return;
+  shown_ns_ = now_ns;
+  publish_frame(*shown_);
 }
 
 void ScenePublisher::publish_frame(const haptics::DisplayFrame& frame) {

@@ -70,6 +70,7 @@ class ScenePublisher {
 
   void run() noexcept;
   void publish_topology();
+  void show(std::int64_t now_ns);
   void publish_frame(const haptics::DisplayFrame& frame);
   void publish_needles(const haptics::DisplayFrame& frame);
   void publish_threads(const haptics::DisplayFrame& frame);
@@ -113,7 +114,9 @@ class ScenePublisher {
   std::vector<suture::v1::Bite> bites_;
   std::vector<ToldQuality> told_quality_;  // per thread
   std::vector<PendingReset> resets_;
-  simulation::StepReport report_;  // of the last frame
+  simulation::StepReport report_;                 // of the last frame
+  const haptics::DisplayFrame* shown_ = nullptr;  // the last frame; it stays until the next
+  std::int64_t shown_ns_ = 0;
   std::uint64_t status_sequence_ = 0, event_sequence_ = 0, frame_sequence_ = 0;
   std::uint64_t quality_sequence_ = 0;
   std::uint64_t topology_epoch_ = 0, events_dropped_told_ = 0, overruns_told_ = 0;

@@ -13,6 +13,8 @@ namespace {
 
 // A ramp ends before the promised 50 ms, so that a late tick does not break it.
 constexpr std::int64_t kZeroAfterStale_ns = 30 * kMillisecond_ns;
+// A mouse or a browser sends 60 to 125 poses a second, not evenly: zero by 150 ms.
+constexpr std::int64_t kPointerStaleAfter_ns = 100 * kMillisecond_ns;
 
 // A device that was held up sends what it missed at once; so many poses may come early.
 constexpr std::int64_t kBurst_ns = 8 * kPosePeriodMin_ns;
@@ -77,7 +79,6 @@ std::int64_t milliseconds(double ms) noexcept {
 
 ToolChannel::ToolChannel(const scene::Tool& tool, std::int64_t model_period_ns)
     : pose_stale_after_ns_(milliseconds(tool.stale_after_ms)),
-      pose_zero_after_ns_(pose_stale_after_ns_ + kZeroAfterStale_ns),
       model_stale_after_ns_(haptics::model_stale_after_ns(model_period_ns)),
       model_zero_after_ns_(suture::model_zero_after_ns(model_stale_after_ns_)),
       max_speed_m_per_s_(tool.max_speed_m_per_s),
@@ -228,6 +229,17 @@ void ToolChannel::set_device_limits(const DeviceLimits& device) noexcept {
   max_stiffness_n_per_m_.store(
       device.max_stiffness_n_per_m > 0.0 ? device.max_stiffness_n_per_m : 0.0,
       std::memory_order_relaxed);
+  pointer_.store(device.pointer, std::memory_order_relaxed);
+}
+
+std::int64_t ToolChannel::pose_stale_after_ns() const noexcept {
+  return pointer_.load(std::memory_order_relaxed)
+             ? std::max(pose_stale_after_ns_, kPointerStaleAfter_ns)
+             : pose_stale_after_ns_;
+}
+
+std::int64_t ToolChannel::pose_zero_after_ns() const noexcept {
+  return pose_stale_after_ns() + kZeroAfterStale_ns;
 }
 
 suture::ForceLimits ToolChannel::limits() const noexcept {
@@ -324,7 +336,7 @@ ForceSample ToolChannel::serve(const PoseSample& sample, std::int64_t now_ns) no
 }
 
 void ToolChannel::accept(const PoseSample& sample, std::int64_t now_ns) noexcept {
-  if (has_previous_ && now_ns - good_ns_ >= pose_zero_after_ns_) good_since_ns_ = now_ns;
+  if (has_previous_ && now_ns - good_ns_ >= pose_zero_after_ns()) good_since_ns_ = now_ns;
   if (sample.frame != frame_ && stage_ == Stage::kSettling) workspace_.reset();
   device_pose_ = sample.pose;
   good_ns_ = now_ns;
@@ -394,7 +406,7 @@ void ToolChannel::leave_or_stay(std::int64_t now_ns) noexcept {
   }
   const StampedModel& current = models_.front();
   const bool good_poses = has_previous_ && good_ns_ - good_since_ns_ >= kSettle_ns &&
-                          now_ns - good_ns_ < pose_stale_after_ns_;
+                          now_ns - good_ns_ < pose_stale_after_ns();
   const bool good_model = has_model_ && current.taken_ns >= good_since_ns_ &&
                           now_ns - current.published_ns < model_stale_after_ns_;
   if (good_poses && good_model && !clutched_ && !stopped && !paused) {
@@ -447,7 +459,7 @@ suture::Wrench ToolChannel::model_wrench(std::int64_t now_ns) noexcept {
 double ToolChannel::ceiling(std::int64_t now_ns) noexcept {
   if (stage_ == Stage::kIdle || stage_ == Stage::kSettling) return 0.0;
   const double pose =
-      suture::freshness(now_ns - good_ns_, pose_stale_after_ns_, pose_zero_after_ns_);
+      suture::freshness(now_ns - good_ns_, pose_stale_after_ns(), pose_zero_after_ns());
   const double model = suture::freshness(now_ns - models_.front().published_ns,
                                          model_stale_after_ns_, model_zero_after_ns_);
   double result = std::min(pose, model);
@@ -491,7 +503,7 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   const suture::Wrench world = model_wrench(now_ns);
   const bool engaged = stage_ != Stage::kIdle;
   if (engaged && has_previous_) {
-    const bool pose_stale = now_ns - good_ns_ > pose_stale_after_ns_;
+    const bool pose_stale = now_ns - good_ns_ > pose_stale_after_ns();
     const bool model_stale = has_model_ &&
                              now_ns - models_.front().published_ns > model_stale_after_ns_ &&
                              !paused_.load(std::memory_order_relaxed);

@@ -109,6 +109,7 @@ struct RenderedSample {
 struct DeviceLimits {
   suture::ForceLimits force{0.0, 0.0, 0.0, 0.0};
   double max_stiffness_n_per_m = 0.0;  ///< at the hand
+  bool pointer = false;                ///< a mouse or the like: poses come seldom
 };
 
 /// How a tool's force stands; as on the wire.
@@ -268,7 +269,9 @@ class ToolChannel {
   [[nodiscard]] double max_stiffness_n_per_m() const noexcept {
     return max_stiffness_n_per_m_.load(std::memory_order_relaxed);
   }
-  [[nodiscard]] std::int64_t pose_stale_after_ns() const noexcept { return pose_stale_after_ns_; }
+  /// Returns how old a pose may be before the force fades: the scene's time, and longer for
+  /// a pointer. Any thread.
+  [[nodiscard]] std::int64_t pose_stale_after_ns() const noexcept;
 
  private:
   enum class Stage : std::uint8_t { kIdle, kSettling, kRendering, kFading };
@@ -280,6 +283,8 @@ class ToolChannel {
 
   bool try_hold() noexcept { return !held_.exchange(true, std::memory_order_seq_cst); }
   void let_go() noexcept { held_.store(false, std::memory_order_seq_cst); }
+
+  [[nodiscard]] std::int64_t pose_zero_after_ns() const noexcept;
 
   // Receive thread only.
   bool admit(const PoseSample& sample, std::int64_t now_ns) noexcept;
@@ -304,7 +309,7 @@ class ToolChannel {
 
   // Fixed at construction.
   suture::ForceLimits scene_limits_;
-  std::int64_t pose_stale_after_ns_, pose_zero_after_ns_;
+  std::int64_t pose_stale_after_ns_;
   std::int64_t model_stale_after_ns_, model_zero_after_ns_;
   double max_speed_m_per_s_;
   std::uint32_t clutch_mask_;
@@ -321,6 +326,7 @@ class ToolChannel {
   // Each by itself: a tick may see one changed and the next not yet; slew takes what steps.
   std::atomic<double> max_force_n_, max_torque_nm_, max_force_slew_n_per_s_,
       max_torque_slew_nm_per_s_, max_stiffness_n_per_m_{0.0};
+  std::atomic<bool> pointer_{false};
   ToolCounters counters_;
   struct Arrival {
     PoseSample sample;

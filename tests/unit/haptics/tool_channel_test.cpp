@@ -292,20 +292,25 @@ TEST(ToolChannel, EndsTheForceOfADeviceThatFellSilent) {
   rig.expect_recovery();
 }
 
-TEST(ToolChannel, GivesAPointerToolMoreTime) {
-  scene::Tool mouse;
-  mouse.stale_after_ms = 100;
-  Rig rig(mouse);
-  rig.pose_period_ms = 16;
-  rig.engage();
-  rig.run(16 - rig.now / kMs % 16);
-  const std::int64_t last_good_ns = rig.now;
-  rig.sends = false;
-  rig.run(99);
-  EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
-  rig.run(61);
-  EXPECT_LE(rig.last_felt_ns, last_good_ns + 150 * kMs);
-  EXPECT_EQ(rig.force_n(), 0.0);
+TEST(ToolChannel, GivesAPointerMoreTimeWhicheverSideSaysThatItIsOne) {
+  for (const bool scene_says : {true, false}) {
+    scene::Tool tool;
+    DeviceLimits device;
+    if (scene_says) tool.stale_after_ms = 100;
+    device.pointer = !scene_says;
+    Rig rig(tool);
+    rig.channel().set_device_limits(device);
+    rig.pose_period_ms = 16;
+    rig.engage();
+    rig.run(16 - rig.now / kMs % 16);
+    const std::int64_t last_good_ns = rig.now;
+    rig.sends = false;
+    rig.run(99);
+    EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
+    rig.run(61);
+    EXPECT_LE(rig.last_felt_ns, last_good_ns + 150 * kMs);
+    EXPECT_EQ(rig.force_n(), 0.0);
+  }
 }
 
 TEST(ToolChannel, EndsTheForceOfASimulationThatFellSilent) {

@@ -26,7 +26,7 @@ TEST(Contract, IsWhatWasPublished) {
       {"suture::v1::ToolRendered", 2186318450677105471U},
       {"suture::v1::DeviceProfile", 11345085107409444153U},
       {"suture::v1::Event", 8551175413570681050U},
-      {"suture::v1::ServerStatus", 7689054364035246990U},
+      {"suture::v1::ServerStatus", 15399332984808961072U},
       {"suture::v1::Command", 8526775163524651678U},
       {"suture::v1::CommandReply", 2478949908551573893U},
       {"suture::v1::MeshTopology", 9657672944120058517U},

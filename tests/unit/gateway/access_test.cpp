@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "gateway/access.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <fstream>
+
+#include "protocol/types.hpp"
+#include "support/temporary_folder.hpp"
+#include "suture/error.hpp"
+
+namespace sutured::gateway {
+namespace {
+
+using ::testing::HasSubstr;
+
+Request from(const std::string& host, const std::string& origin = {}) {
+  Request request;
+  request.path = "/";
+  request.host = host;
+  request.origin = origin;
+  return request;
+}
+
+std::string refusal_of(const Access::Options& options) {
+  try {
+    const Access access(options);
+  } catch (const suture::Error& error) {
+    return error.what();
+  }
+  return "";
+}
+
+TEST(Access, KnowsLoopback) {
+  for (const char* loopback : {"127.0.0.1", "127.9.8.7", "::1"}) EXPECT_TRUE(is_loopback(loopback));
+  for (const char* other : {"0.0.0.0", "::", "192.0.2.1", "127.0.0.1.example.org", "", "localhost"})
+    EXPECT_FALSE(is_loopback(other)) << other;
+}
+
+TEST(Access, TheHashIsSha256) {
+  EXPECT_EQ(sha256_hex("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+}
+
+TEST(Access, NobodyComesFromElsewhereWithoutATokenFile) {
+  EXPECT_THAT(refusal_of({"0.0.0.0", {}, {}}), HasSubstr("would let everybody in"));
+  EXPECT_EQ(refusal_of({"127.0.0.1", {}, {}}), "");
+}
+
+TEST(Access, OnLoopbackEverybodyMayDoEverything) {
+  const Access access({"127.0.0.1", {}, {}});
+  const auto grant = access.grant(from("127.0.0.1:8080"));
+  ASSERT_TRUE(grant);
+  EXPECT_TRUE(grant->rights.command);
+  EXPECT_TRUE(grant->rights.may_drive(suture::tool_id("any")));
+}
+
+TEST(Access, RefusesPagesOfOtherOriginsAndForeignNames) {
+  const Access access({"127.0.0.1", {}, {"https://app.example.org"}});
+  const auto status = [&](const Request& request) {
+    const auto refusal = access.refuse(request);
+    return refusal ? refusal->status : 200U;
+  };
+  EXPECT_EQ(status(from("127.0.0.1:8080")), 200U);
+  EXPECT_EQ(status(from("localhost:8080", "http://localhost:8080")), 200U);
+  EXPECT_EQ(status(from("[::1]:8080", "http://[::1]:8080")), 200U);
+  EXPECT_EQ(status(from("127.0.0.1:8080", "https://app.example.org")), 200U);
+  EXPECT_EQ(status(from("127.0.0.1:8080", "http://127.0.0.1:9090")), 403U) << "another server";
+  EXPECT_EQ(status(from("127.0.0.1:8080", "https://evil.example")), 403U);
+  EXPECT_EQ(status(from("127.0.0.1:8080", "null")), 403U);
+  EXPECT_EQ(status(from("rebound.example:8080")), 403U);
+  EXPECT_EQ(status(from("rebound.example:8080", "http://rebound.example:8080")), 403U);
+  EXPECT_EQ(status(from("")), 403U);
+}
+
+class TokenFile : public ::testing::Test {
+ protected:
+  void write(const std::string& text) {
+    std::ofstream(path_) << text;
+    // Written twice within a tick of the file system's clock is still a change.
+    std::filesystem::last_write_time(
+        path_, std::filesystem::file_time_type::clock::now() + std::chrono::seconds(++writes_));
+  }
+  [[nodiscard]] static std::string token(const std::string& name, const std::string& secret,
+                                         const std::string& rights) {
+    return "[[token]]\nname = \"" + name + "\"\nsha256 = \"" + sha256_hex(secret) +
+           "\"\nrights = " + rights + "\n";
+  }
+  [[nodiscard]] static Request with(const std::string& query, const std::string& header = {}) {
+    Request request = from("192.0.2.1:8080");
+    request.query = query;
+    request.authorization = header;
+    return request;
+  }
+  [[nodiscard]] std::string refusal() const { return refusal_of({"192.0.2.1", path_, {}}); }
+
+  testing::TemporaryFolder folder_;
+  std::filesystem::path path_ = folder_.path("tokens.toml");
+  int writes_ = 0;
+};
+
+TEST_F(TokenFile, GivesTheRightsOfTheToken) {
+  write(token("ward", "s3cret", R"(["drive:left", "command"])") + token("eyes", "look", "[]"));
+  const Access access({"192.0.2.1", path_, {}});
+  const auto ward = access.grant(with("x=1&token=s3cret"));
+  ASSERT_TRUE(ward);
+  EXPECT_EQ(ward->name, "ward");
+  EXPECT_TRUE(ward->rights.command);
+  EXPECT_TRUE(ward->rights.may_drive(suture::tool_id("left")));
+  EXPECT_FALSE(ward->rights.may_drive(suture::tool_id("right")));
+  const auto eyes = access.grant(with("", "Bearer look"));
+  ASSERT_TRUE(eyes);
+  EXPECT_FALSE(eyes->rights.command);
+  EXPECT_FALSE(eyes->rights.may_drive(suture::tool_id("left")));
+
+  for (const char* query : {"", "token=", "token=s3cre", "token=s3cret2", "tokens=s3cret"})
+    EXPECT_FALSE(access.grant(with(query))) << query;
+  EXPECT_FALSE(access.grant(with("token=" + sha256_hex("s3cret")))) << "the hash is no token";
+}
+
+TEST_F(TokenFile, IsReadAgainWhereItChanges) {
+  write(token("ward", "s3cret", "[]"));
+  Access access({"192.0.2.1", path_, {}});
+  auto grant = access.grant(with("token=s3cret"));
+  ASSERT_TRUE(grant);
+  EXPECT_TRUE(access.renew(*grant));
+
+  write(token("ward", "s3cret", R"(["command"])"));
+  EXPECT_EQ(access.reload(), "");
+  EXPECT_TRUE(access.renew(*grant));
+  EXPECT_TRUE(grant->rights.command) << "rights change without a new connection";
+
+  write("[[token]\n");
+  EXPECT_THAT(access.reload(), HasSubstr("tokens.toml:1:"));
+  EXPECT_TRUE(access.renew(*grant)) << "a faulty file changes nothing";
+
+  write(token("other", "0ther", "[]"));
+  EXPECT_EQ(access.reload(), "");
+  EXPECT_FALSE(access.renew(*grant)) << "revoked";
+}
+
+TEST_F(TokenFile, NamesTheFaultAndItsPlace) {
+  EXPECT_THAT(refusal(), HasSubstr("tokens.toml"));  // there is none
+  write("");
+  EXPECT_THAT(refusal(), HasSubstr("there is no [[token]]"));
+  write("[[token]]\nname = \"a\"\nsha256 = \"abc\"\nrights = []\n");
+  EXPECT_THAT(refusal(), HasSubstr("64 hex digits"));
+  write(token("a", "b", R"(["drive:"])"));
+  EXPECT_THAT(refusal(), HasSubstr(":4:"));
+  EXPECT_THAT(refusal(), HasSubstr("a right is"));
+  write(token("a", "b", "[]") + "colour = 3\n");
+  EXPECT_THAT(refusal(), HasSubstr("unknown key \"colour\""));
+  write(token("a", "b", "3"));
+  EXPECT_THAT(refusal(), HasSubstr("must be a list"));
+}
+
+}  // namespace
+}  // namespace sutured::gateway
