@@ -6,7 +6,7 @@ SHELL := /bin/bash
 BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
   libopenblas-serial-dev libsuitesparse-dev libeigen3-dev \
   cyclonedds-dev cyclonedds-tools libboost1.81-dev libssl-dev libspdlog-dev \
-  libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev
+  libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev libzstd-dev
 PICTURE_PACKAGES := python3-matplotlib python3-numpy
 TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx iproute2 $(PICTURE_PACKAGES)
 BENCH_PACKAGES := rt-tests
