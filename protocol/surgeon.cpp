@@ -208,6 +208,31 @@ Surgeon parse_surgeon(std::string_view text, const std::string& name) {
   return surgeon;
 }
 
+std::string surgeon_text(const Surgeon& surgeon) {
+  std::vector<std::pair<const SurgeonTrack*, const SurgeonRow*>> rows;
+  for (const SurgeonTrack& track : surgeon.tracks)
+    for (const SurgeonRow& row : track.rows) rows.emplace_back(&track, &row);
+  std::stable_sort(rows.begin(), rows.end(), [](const auto& a, const auto& b) {
+    return a.second->time_s < b.second->time_s;
+  });
+  std::string text(kHeader);
+  const auto append = [&](double value) {
+    if (text.back() != '\n') text += ',';
+    std::array<char, 32> digits{};
+    const auto end = std::to_chars(digits.data(), digits.data() + digits.size(), value).ptr;
+    text.append(digits.data(), end);
+  };
+  for (const auto& [track, row] : rows) {
+    text += '\n';
+    append(row->time_s);
+    text += ',' + track->tool;
+    for (const double value : row->pose.position_m) append(value);
+    for (const double value : row->pose.orientation_xyzw) append(value);
+    append(row->pose.jaw);
+  }
+  return text + '\n';
+}
+
 Surgeon read_surgeon(const std::string& path) {
   std::error_code unknown;
   const auto kind = std::filesystem::status(path, unknown).type();

@@ -64,4 +64,8 @@ struct Surgeon {
 /// The same from text; `name` stands in messages instead of the path.
 [[nodiscard]] Surgeon parse_surgeon(std::string_view text, const std::string& name);
 
+/// Returns the text of a surgeon file: rows of all tools by time, numbers in the fewest digits
+/// that `parse_surgeon` turns into the same doubles (quaternions: to their last digit).
+[[nodiscard]] std::string surgeon_text(const Surgeon& surgeon);
+
 }  // namespace suture

@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -55,6 +56,24 @@ struct DoctorArguments {
   bool network = true;
 };
 
+struct RecordArguments {
+  SessionArguments session;  ///< without its timeout
+  std::string file;
+  std::vector<std::string> topics;  ///< empty: all
+  double duration_s = 0.0;          ///< from the first sample on; 0: until interrupted
+  bool force = false;
+};
+
+struct ReplayArguments {
+  SessionArguments session;  ///< without its timeout
+  std::string file;
+  double rate = 1.0;
+  bool loop = false;
+  std::string surgeon;  ///< write this surgeon file instead of playing
+  std::optional<std::uint64_t> epoch;
+  bool force = false;
+};
+
 struct CommandArguments {
   SessionArguments session;
   std::string kind;
@@ -64,6 +83,8 @@ struct CommandArguments {
 int run_device(const DeviceArguments& arguments);
 int run_top(const TopArguments& arguments);
 int run_doctor(const DoctorArguments& arguments);
+int run_record(const RecordArguments& arguments);
+int run_replay(const ReplayArguments& arguments);
 int run_command(const CommandArguments& arguments);
 
 /// Set by SIGINT and SIGTERM.

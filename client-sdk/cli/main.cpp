@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// `suture`: a device without hardware, a live table, a look at the machine, commands.
+// `suture`: a device without hardware, a live table, a look at the machine, recordings, commands.
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
@@ -46,10 +46,14 @@ int exit_code_of(ErrorCode code) {
   return kFailed;
 }
 
-void add_session_options(CLI::App& command, SessionArguments& session) {
+void add_place_options(CLI::App& command, SessionArguments& session) {
   command.add_option("--domain", session.domain, "DDS domain, even; meshes use the next one")
       ->capture_default_str();
   command.add_option("--session", session.session, "session name (a DDS partition)");
+}
+
+void add_session_options(CLI::App& command, SessionArguments& session) {
+  add_place_options(command, session);
   command.add_option("--timeout", session.timeout_s, "seconds to wait for the server")
       ->check(suture::within(0.001, 3600.0, "s"))
       ->capture_default_str();
@@ -132,6 +136,52 @@ int run(int argc, char** argv) {
       "  suture doctor\n"
       "Ends with 0 unless something makes 1 kHz impossible here, then with 1.");
 
+  RecordArguments record;
+  CLI::App* record_command =
+      app.add_subcommand("record", "Record every topic of a session to an MCAP file");
+  record_command->add_option("file", record.file, "file to write, name.mcap")->required();
+  add_place_options(*record_command, record.session);
+  record_command
+      ->add_option("--topics", record.topics, "only these, as suture/tool/pose,suture/event")
+      ->delimiter(',');
+  record_command
+      ->add_option("--duration", record.duration_s, "seconds to record, from the first sample on")
+      ->check(suture::within(0.001, 1e6, "s"));
+  record_command->add_flag("--force", record.force, "replace a file that exists");
+  record_command->footer(
+      "Examples:\n"
+      "  suture record session.mcap\n"
+      "  suture record forces.mcap --topics tool/force,event --duration 60\n"
+      "Waits for a server and follows it through resets and restarts, until Ctrl-C. Foxglove "
+      "opens\n"
+      "the file. A recorder that is killed leaves one that can be read up to the last half "
+      "second.");
+
+  ReplayArguments replay;
+  CLI::App* replay_command = app.add_subcommand(
+      "replay", "Publish a recording again, or turn it into a surgeon file for `sutured run`");
+  replay_command->add_option("file", replay.file, "recording, name.mcap")->required();
+  add_place_options(*replay_command, replay.session);
+  replay_command->add_option("--rate", replay.rate, "times the speed at which it was recorded")
+      ->check(suture::within(0.01, 100.0, "times the speed"))
+      ->capture_default_str();
+  replay_command->add_flag("--loop", replay.loop, "begin again at the end, until interrupted");
+  CLI::Option* surgeon_option = replay_command->add_option(
+      "--surgeon", replay.surgeon, "write the hands to this CSV file instead of playing");
+  replay_command
+      ->add_option("--epoch", replay.epoch, "of several worlds in one recording, this one")
+      ->needs(surgeon_option);
+  replay_command->add_flag("--force", replay.force, "replace a surgeon file that exists")
+      ->needs(surgeon_option);
+  replay_command->footer(
+      "Examples:\n"
+      "  suture replay session.mcap --session again --rate 0.5\n"
+      "  suture replay session.mcap --surgeon hands.csv\n"
+      "  sutured run scene.toml --surgeon hands.csv --out out/again\n"
+      "Refuses to play into a session where a server answers. A file that was cut off plays as "
+      "far\n"
+      "as it goes.");
+
   CommandArguments command;
   CLI::App* command_command = app.add_subcommand("command", "Tell the server to do something");
   add_session_options(*command_command, command.session);
@@ -160,6 +210,8 @@ int run(int argc, char** argv) {
     if (*device_command) return run_device(device);
     if (*top_command) return run_top(top);
     if (*doctor_command) return run_doctor(doctor);
+    if (*record_command) return run_record(record);
+    if (*replay_command) return run_replay(replay);
     return run_command(command);
   } catch (const Error& error) {
     std::fflush(stdout);

@@ -272,11 +272,13 @@ void Writer::finish() {
       sink.put(std::uint64_t{part.end - part.begin});
     });
   }
-  sink.record(Opcode::kFooter, [&] {
-    sink.put(size_ + summary);
-    sink.put(size_ + offsets);
-    sink.put(crc32(std::span(out_).subspan(summary)));
-  });
+  // The checksum covers the summary and the footer as far as the checksum itself.
+  constexpr std::uint64_t kFooterBytes = 20;
+  sink.put(Opcode::kFooter);
+  sink.put(kFooterBytes);
+  sink.put(size_ + summary);
+  sink.put(size_ + offsets);
+  sink.put(crc32(std::span(out_).subspan(summary)));
   sink.bytes(std::as_bytes(std::span(kMagic)));
   append(out_);
   if (fdatasync(file_) != 0) fail(errno);

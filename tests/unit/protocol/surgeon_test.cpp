@@ -119,5 +119,30 @@ TEST(Surgeon, NamesAFileThatCannotBeRead) {
   }
 }
 
+TEST(Surgeon, IsWrittenAsItReads) {
+  // Numbers that no short decimal gives, rows of two tools among each other.
+  const Surgeon before = parse(
+      "0,a,0.1,0.2,0.30000000000000004,0,0,0,1,0.3333333333333333\n"
+      "0.004,b,1e-9,-2,3,0.5,0.5,0.5,0.5,1\n0.012,a,0,0,0,0.6,0,0,0.8,0\n"
+      "0.008,b,0,0,0,0,0,0,1,1\n");
+  const std::string text = surgeon_text(before);
+  EXPECT_THAT(text, HasSubstr("\n0.008,b,"));
+  const Surgeon after = parse_surgeon(text, "again.csv");
+  ASSERT_EQ(after.tracks.size(), 2U);
+  for (std::size_t t = 0; t < 2; ++t) {
+    EXPECT_EQ(after.tracks[t].tool, before.tracks[t].tool);
+    ASSERT_EQ(after.tracks[t].rows.size(), before.tracks[t].rows.size());
+    for (std::size_t r = 0; r < 2; ++r) {
+      const SurgeonRow& got = after.tracks[t].rows[r];
+      const SurgeonRow& wanted = before.tracks[t].rows[r];
+      EXPECT_EQ(got.time_s, wanted.time_s);
+      EXPECT_EQ(got.pose.position_m, wanted.pose.position_m);
+      EXPECT_EQ(got.pose.jaw, wanted.pose.jaw);
+      for (int i = 0; i < 4; ++i)
+        EXPECT_DOUBLE_EQ(got.pose.orientation_xyzw[i], wanted.pose.orientation_xyzw[i]);
+    }
+  }
+}
+
 }  // namespace
 }  // namespace suture
