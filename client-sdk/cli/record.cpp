@@ -61,7 +61,7 @@ class ServerWatch {
       if (back) say("the server answers again");
       return std::nullopt;
     }
-    const bool same = facts->pid == pid_ && facts->started_ns == started_ns_;
+    const bool same = epoch_ != 0 && facts->pid == pid_ && facts->started_ns == started_ns_;
     epoch_ = facts->epoch;
     pid_ = facts->pid;
     started_ns_ = facts->started_ns;
