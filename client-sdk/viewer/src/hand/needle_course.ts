@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a hand needs to know of a needle: which way it goes, and where to take it.
+import {
+  about, add, cross, dot, length, multiply, normalized, perpendicular, rotate, scale, subtract, unit, conjugate,
+  turnedAbout, type Pose, type Quat, type Vec3,
+} from "../maths/vector";
+import { NeedleShape, type NeedleState } from "../protocol/messages";
+
+const point = (course: ArrayLike<number>, i: number): Vec3 => [course[3 * i]!, course[3 * i + 1]!, course[3 * i + 2]!];
+
+export type NeedleMotion =
+  /** Positive turns about `axis` take the tip forward. */
+  | { kind: "arc"; centre: Vec3; axis: Vec3; radius_m: number }
+  | { kind: "straight"; direction: Vec3 };
+
+/** Returns the motion along the needle's own axis, tip first, in the world. */
+export function needleMotion(needle: NeedleState): NeedleMotion {
+  const orientation = [...needle.orientation_xyzw] as Quat;
+  const tip = point(needle.course_m, 0);
+  const behind = point(needle.course_m, 1);
+  if (needle.shape !== NeedleShape.Arc) return { kind: "straight", direction: normalized(subtract(tip, behind)) };
+  const centre = [...needle.position_m] as Vec3;
+  const axis = rotate(orientation, [0, 0, 1]);
+  const forward = dot(cross(subtract(behind, centre), subtract(tip, behind)), axis);
+  return { kind: "arc", centre, axis: forward < 0 ? scale(axis, -1) : axis, radius_m: needle.radius_m };
+}
+
+/** The place and turn of `motion` as seen from a tool that holds the needle at `tool`, moved to `target`. */
+export function carried(motion: NeedleMotion, tool: Pose, target: Pose): NeedleMotion {
+  const turn = (v: Vec3): Vec3 => rotate(target.orientation, rotate(conjugate(tool.orientation), v));
+  if (motion.kind === "straight") return { kind: "straight", direction: turn(motion.direction) };
+  return { ...motion, axis: turn(motion.axis), centre: add(target.position, turn(subtract(motion.centre, tool.position))) };
+}
+
+/** Returns `pose` after its needle went `way_m` forward along its own axis. */
+export function driven(pose: Pose, motion: NeedleMotion, way_m: number): Pose {
+  if (motion.kind === "straight") return { ...pose, position: add(pose.position, scale(motion.direction, way_m)) };
+  return turnedAbout(pose, motion.centre, scale(motion.axis, way_m / motion.radius_m));
+}
+
+/** Returns the point of a course at `share` of its length. */
+export function pointAt(course: ArrayLike<number>, share: number): Vec3 {
+  const points = course.length / 3;
+  let total = 0;
+  for (let i = 1; i < points; ++i) total += length(subtract(point(course, i), point(course, i - 1)));
+  let left = share * total;
+  for (let i = 1; i < points; ++i) {
+    const way = subtract(point(course, i), point(course, i - 1));
+    const step = length(way);
+    if (left <= step && step > 0) return add(point(course, i - 1), scale(way, left / step));
+    left -= step;
+  }
+  return point(course, points - 1);
+}
+
+/** Returns how far `at` is from a course, in metres; infinity for an empty one. */
+export function distanceToCourse(course: ArrayLike<number>, at: Vec3): number {
+  let best = Infinity;
+  for (let i = 0; 3 * i + 2 < course.length; ++i) {
+    const a = point(course, i);
+    const way = 3 * i + 5 < course.length ? subtract(point(course, i + 1), a) : ([0, 0, 0] as Vec3);
+    const n2 = dot(way, way);
+    const share = n2 > 0 ? Math.min(1, Math.max(0, dot(subtract(at, a), way) / n2)) : 0;
+    best = Math.min(best, length(subtract(at, add(a, scale(way, share)))));
+  }
+  return best;
+}
+
+/** From the tip: where a jaw that is near the tip, or near the tail, takes a needle. */
+const kNearTip = 0.12;
+const kNearTail = 0.88;
+
+/**
+ * Returns where on the needle a second or first jaw should close, as a share of its length from the
+ * tip: at the end that has more of it free, and away from who holds it.
+ */
+export function graspShare(needle: NeedleState, holder: Vec3 | undefined): number {
+  if (holder) {
+    const away = (share: number) => length(subtract(pointAt(needle.course_m, share), holder));
+    return away(kNearTip) > away(kNearTail) ? kNearTip : kNearTail;
+  }
+  const arcs = needle.punctures.map((puncture) => puncture.arc_length_m);
+  if (arcs.length === 0) return kNearTail;
+  return Math.min(...arcs) > needle.length_m - Math.max(...arcs) ? kNearTip : kNearTail;
+}
+
+/** Returns `orientation` turned the short way so that its z axis, the shaft, is along `shaft`. */
+export function alignShaft(orientation: Quat, shaft: Vec3): Quat {
+  const now = rotate(orientation, [0, 0, 1]);
+  const axis = cross(now, shaft);
+  const angle = Math.atan2(length(axis), dot(now, shaft));
+  return unit(multiply(about(normalized(axis, perpendicular(now)), angle), orientation));
+}
+
+/** How far before the needle a hand stops first, so that it comes along its own shaft. */
+const kStandOff_m = 0.012;
+
+/**
+ * Returns the poses on the way of an open jaw to the needle. The shaft stands across the needle's plane,
+ * on the side of `towards` (the eye), or opposite to the shaft of who holds the needle.
+ */
+export function reachNeedle(from: Pose, needle: NeedleState, towards: Vec3, holder: Pose | undefined): Pose[] {
+  const motion = needleMotion(needle);
+  let shaft = motion.kind === "arc" ? motion.axis : perpendicular(motion.direction);
+  const side = holder ? scale(rotate(holder.orientation, [0, 0, 1]), -1) : towards;
+  if (dot(shaft, side) < 0) shaft = scale(shaft, -1);
+  const orientation = alignShaft(from.orientation, shaft);
+  const at = pointAt(needle.course_m, graspShare(needle, holder?.position));
+  return [
+    { position: add(at, scale(shaft, kStandOff_m)), orientation },
+    { position: at, orientation },
+  ];
+}

@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+import type { ConnectionState } from "../connection/worker_messages";
+import { byId, h } from "./dom";
+
+/** What covers the picture while there is none: connecting, lost, no scene. */
+export class Overlay {
+  readonly #element = byId("overlay");
+  readonly #retry: () => void;
+  #key = "";
+  #timer: ReturnType<typeof setInterval> | undefined;
+
+  constructor(retry: () => void) {
+    this.#retry = retry;
+  }
+
+  show(state: ConnectionState, hasScene: boolean): void {
+    const key = `${state.phase}/${hasScene}/${state.phase === "lost" ? state.attempt : 0}`;
+    if (key === this.#key) return;
+    this.#key = key;
+    clearInterval(this.#timer);
+    this.#element.classList.toggle("slim", hasScene);
+    this.#element.hidden = state.phase === "open" && hasScene;
+    document.documentElement.dataset["connection"] = state.phase;
+    if (state.phase === "open") this.#say("No scene yet", ["The server is connected and has sent no tissue. A scene appears here as soon as there is one."], true);
+    else if (state.phase === "connecting") this.#say("Connecting", [hasScene ? "The picture is the last one." : ""], true);
+    else this.#lost(state, hasScene);
+  }
+
+  #lost(state: Extract<ConnectionState, { phase: "lost" }>, hasScene: boolean): void {
+    const wait = h("p", {});
+    const tell = () => {
+      const left = Math.max(0, Math.ceil((state.retryAtMs - Date.now()) / 1000));
+      wait.textContent = left > 0 ? `Trying again in ${left} s.` : "Trying again.";
+    };
+    tell();
+    this.#timer = setInterval(tell, 250);
+    const why = state.everOpen
+      ? hasScene ? "The picture is the last one." : ""
+      : "Is the server running? A server that is not on this machine asks for a token: open the link that it printed.";
+    this.#say(state.everOpen ? "Connection lost" : "No answer", [why], false, wait,
+      h("button", { type: "button", class: "primary", onclick: () => this.#retry() }, "Try now"));
+  }
+
+  #say(title: string, texts: string[], busy: boolean, ...more: Node[]): void {
+    this.#element.replaceChildren(h("div", { class: "overlay-box", role: "status" },
+      busy ? h("div", { class: "spinner", "aria-hidden": "true" }) : undefined,
+      h("h2", {}, title), ...texts.filter((text) => text !== "").map((text) => h("p", {}, text)), ...more));
+  }
+}

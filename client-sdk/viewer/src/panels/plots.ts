@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: Apache-2.0
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+import { card, h } from "./dom";
+import { cssVariable } from "./theme";
+
+const kWindow_s = 20;
+const kMost = 20 * 60 + 60;
+const kDraw_ms = 66;
+
+/** The last seconds of some figures over time: a column per name, gaps where one is silent. */
+export class Recent {
+  readonly names: string[] = [];
+  readonly times: number[] = [];
+  readonly columns: (number | null)[][] = [];
+
+  /** Takes `value` of `name` at `time_s`; figures of one moment share a row. */
+  push(name: string, time_s: number, value: number): void {
+    let column = this.names.indexOf(name);
+    if (column < 0) {
+      column = this.names.push(name) - 1;
+      this.columns.push(this.times.map(() => null));
+    }
+    const last = this.times.at(-1);
+    if (last !== undefined && time_s < last) this.clear();
+    if (last === undefined || time_s > last || this.times.length === 0) {
+      this.times.push(time_s);
+      for (const each of this.columns) each.push(null);
+    }
+    this.columns[column]![this.times.length - 1] = value;
+    const drop = this.times.findIndex((t) => t >= time_s - kWindow_s);
+    const surplus = Math.max(drop, this.times.length - kMost, 0);
+    if (surplus > 30) {
+      this.times.splice(0, surplus);
+      for (const each of this.columns) each.splice(0, surplus);
+    }
+  }
+
+  clear(): void {
+    this.times.length = 0;
+    for (const each of this.columns) each.length = 0;
+  }
+}
+
+/** A live plot over simulation time. */
+export class Plot {
+  readonly element: HTMLElement;
+  readonly recent = new Recent();
+  readonly #place = h("div", { class: "plot" });
+  readonly #colour: (name: string) => string;
+  readonly #least: number;
+  #plot: uPlot | undefined;
+  #drawn_ms = 0;
+  #series = 0;
+
+  /** `least` is the smallest end of the scale. */
+  constructor(title: string, id: string, unit: string, least: number, colour: (name: string) => string) {
+    this.#colour = colour;
+    this.#least = least;
+    this.element = card(`${title}, ${unit}`, id, this.#place);
+    new ResizeObserver(() => this.#plot?.setSize(this.#size())).observe(this.#place);
+  }
+
+  /** Makes the plot anew in the colours of the page. */
+  restyle(): void {
+    this.#plot?.destroy();
+    this.#plot = undefined;
+  }
+
+  update(now_ms: number): void {
+    if (now_ms - this.#drawn_ms < kDraw_ms || this.#place.clientWidth === 0) return;
+    this.#drawn_ms = now_ms;
+    if (!this.#plot || this.#series !== this.recent.names.length) this.#make();
+    this.#plot!.setData([this.recent.times, ...this.recent.columns] as uPlot.AlignedData);
+  }
+
+  #size(): { width: number; height: number } {
+    return { width: this.#place.clientWidth, height: 128 };
+  }
+
+  #make(): void {
+    this.#plot?.destroy();
+    this.#series = this.recent.names.length;
+    const [grid, text] = [cssVariable("--line"), cssVariable("--dim")];
+    const axis: uPlot.Axis = {
+      stroke: text, grid: { stroke: grid, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", gap: 3,
+    };
+    this.#plot = new uPlot({
+      ...this.#size(),
+      legend: { show: this.#series > 1, live: false },
+      cursor: { show: false },
+      scales: {
+        x: { time: false, range: (_, __, max) => [Math.max(0, (max ?? 0) - kWindow_s), Math.max(max ?? 0, kWindow_s)] },
+        y: { range: (_, min, max) => [Math.min(0, min ?? 0), Math.max(this.#least, 1.1 * (max ?? 0))] },
+      },
+      axes: [
+        { ...axis, size: 22, values: (_, splits) => splits.map((s) => `${s} s`) },
+        { ...axis, size: 38 },
+      ],
+      series: [
+        {},
+        ...this.recent.names.map((name): uPlot.Series => ({
+          label: name, stroke: this.#colour(name), width: 1.6, spanGaps: true, points: { show: false },
+        })),
+      ],
+    }, [[], ...this.recent.names.map(() => [])] as uPlot.AlignedData, this.#place);
+  }
+}

@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+// Everything that is drawn, fed by the session's messages.
+import { Mesh, MeshBasicMaterial, SphereGeometry } from "three";
+import type { Link } from "../connection/link";
+import { add, scale, type Pose, type Vec3 } from "../maths/vector";
+import { shaftAlong } from "../maths/vector";
+import { kPresets, presetPlace, sceneAxes, type Preset, type SceneAxes } from "./cameras";
+import { Contacts } from "./contacts";
+import { Labels, type Label } from "./labels";
+import { Sutures } from "./sutures";
+import { PlayClock, stampMs } from "./timeline";
+import { Tissue, type TissueProbe } from "./tissue";
+import { Tools, wasLed } from "./tools";
+import type { View } from "./view";
+
+/** A force of one newton is drawn as long as that share of the scene's radius. */
+const kForceLength = 0.9;
+const kQuiet_n = 0.02;
+
+export class Stage {
+  readonly tissue = new Tissue();
+  readonly sutures = new Sutures();
+  readonly tools = new Tools();
+  readonly #contacts = new Contacts();
+  readonly #clock = new PlayClock();
+  readonly #view: View;
+  readonly #labels: Labels;
+  readonly #marker: Mesh;
+  #axes: SceneAxes | undefined;
+  #epoch = -1n;
+  #placed = false;
+  #picked: { body: string; vertex: number } | undefined;
+  #firstPicture: (ms: number) => void;
+
+  constructor(view: View, labels: HTMLElement, link: Link, firstPicture: (ms: number) => void) {
+    this.#view = view;
+    this.#labels = new Labels(labels);
+    this.#firstPicture = firstPicture;
+    this.#marker = new Mesh(new SphereGeometry(1, 20, 14), new MeshBasicMaterial({ color: 0x2563eb }));
+    this.#marker.visible = false;
+    view.scene.add(this.tissue.group, this.sutures.group, this.tools.group, this.#contacts.group, this.#marker);
+
+    link.on("suture/mesh/topology", (topology) => {
+      this.#meet(topology.epoch);
+      if (this.tissue.setTopology(topology)) this.#place();
+    });
+    link.on("suture/mesh/frame", (frame) => {
+      this.#meet(frame.epoch);
+      this.#clock.observe(stampMs(frame.stamp_ns), performance.now());
+      this.tissue.push(frame);
+      view.wake();
+    });
+    link.on("suture/needle", (needle) => {
+      this.sutures.pushNeedle(needle);
+      if (!this.#placed) this.#place();
+    });
+    link.on("suture/thread", (thread) => this.sutures.pushThread(thread));
+    link.on("suture/contact", (contact) => this.#contacts.push(contact));
+    link.on("suture/tool/state", (tool) => this.tools.push(tool));
+  }
+
+  get hasScene(): boolean {
+    return !this.tissue.empty;
+  }
+  get axes(): SceneAxes {
+    return this.#axes ?? { centre: [0, 0, 0], radius: 0.02, along: [0, 0, 1], up: [0, 1, 0], front: [1, 0, 0] };
+  }
+
+  look(preset: Preset, fly = true): void {
+    this.#view.goTo(presetPlace(preset, this.axes, this.#view.fov_rad, this.#view.aspect, this.#needleAt()), fly);
+  }
+
+  /** Where a tool that was never led begins: beside the scene, its shaft towards whoever looks. */
+  startPose(): Pose {
+    const { centre, radius, up, front } = this.axes;
+    const { back } = this.#view.axes();
+    return { position: add(centre, add(scale(front, 0.8 * radius), scale(up, 0.35 * radius))), orientation: shaftAlong(back, up) };
+  }
+
+  pick(clientX: number, clientY: number): void {
+    this.#picked = this.tissue.pick(this.#view.ray(clientX, clientY));
+    this.#view.wake();
+  }
+  unpick(): void {
+    this.#picked = undefined;
+    this.#view.wake();
+  }
+  probe(): TissueProbe | undefined {
+    return this.#picked && this.tissue.probe(this.#picked);
+  }
+
+  /** Moves everything to the moment on show. Returns whether something moved. */
+  update(now_ms: number): boolean {
+    const moment_ms = this.#clock.moment_ms(now_ms);
+    const { radius } = this.axes;
+    const perNewton = kForceLength * radius;
+    let changed = this.tissue.update(moment_ms, now_ms);
+    changed = this.sutures.update(moment_ms) || changed;
+    changed = this.#contacts.update(0.011 * radius, perNewton) || changed;
+    changed = this.tools.update(moment_ms, perNewton, 0.011 * radius) && changed;
+    const probe = this.probe();
+    this.#marker.visible = probe !== undefined;
+    if (probe) {
+      this.#marker.position.set(...probe.position_m);
+      this.#marker.scale.setScalar(0.014 * radius);
+    }
+    return changed;
+  }
+
+  /** After drawing: texts beside the tools. */
+  label(): void {
+    const labels: Label[] = this.tools.views().filter(wasLed).map((view) => {
+      const force_n = Math.hypot(...view.force_n);
+      const force = force_n > kQuiet_n ? `  ${force_n.toFixed(2)} N` : "";
+      return { key: view.tool, text: `${view.tool}${force}`, at: [...view.position_m] as Vec3, colour: this.tools.colour(view.tool) };
+    });
+    const { width, height } = this.#view.size;
+    this.#labels.set(labels, this.#view.camera, width, height);
+  }
+
+  #needleAt(): Vec3 | undefined {
+    const needle = this.sutures.needles()[0];
+    const course = needle?.course_m;
+    if (!course || course.length < 3) return undefined;
+    let at: Vec3 = [0, 0, 0];
+    for (let i = 0; i < course.length; i += 3) at = add(at, [course[i]!, course[i + 1]!, course[i + 2]!]);
+    return scale(at, 3 / course.length);
+  }
+
+  /** A new epoch: what came before is of another scene. */
+  #meet(epoch: bigint): void {
+    if (epoch === this.#epoch) return;
+    this.#epoch = epoch;
+    this.sutures.clear();
+    this.tools.clear();
+    this.#contacts.clear();
+  }
+
+  /** Finds the scene's axes; the camera goes there once, and stays where a person put it. */
+  #place(): void {
+    if (this.tissue.empty) return;
+    const box = this.tissue.bounds();
+    const needle = this.#needleAt();
+    const first = this.#axes === undefined;
+    this.#axes = sceneAxes({ min: box.min.toArray() as Vec3, max: box.max.toArray() as Vec3 }, needle);
+    this.#view.setAxes(this.#axes);
+    if (first || !this.#placed) this.look(kPresets[0], false);
+    this.#placed = needle !== undefined;
+    if (first) requestAnimationFrame(() => requestAnimationFrame(() => this.#firstPicture(performance.now())));
+  }
+}

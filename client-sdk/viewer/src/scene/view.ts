@@ -1,0 +1,244 @@
+// SPDX-License-Identifier: Apache-2.0
+// Renderer, light, camera and the loop. It draws while something changes, and rests otherwise.
+import {
+  ACESFilmicToneMapping, Color, DirectionalLight, HemisphereLight, MOUSE, PCFSoftShadowMap, PerspectiveCamera,
+  PMREMGenerator, Raycaster, Scene, TOUCH, Vector2, Vector3, WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
+import type { Vec3 } from "../maths/vector";
+import type { CameraPlace, SceneAxes } from "./cameras";
+
+const kFov_deg = 32;
+const kAwake_ms = 400;
+const kFly_ms = 450;
+const kSlowFrame_ms = 45;
+const kFastFrame_ms = 20;
+
+export class View {
+  readonly scene = new Scene();
+  readonly camera = new PerspectiveCamera(kFov_deg, 1, 1e-4, 10);
+  readonly canvas: HTMLCanvasElement;
+  readonly #renderer: WebGLRenderer;
+  readonly #key = new DirectionalLight(0xfff4ea, 2.1);
+  readonly #sky = new HemisphereLight(0xdfeaff, 0x50423c, 0.75);
+  #controls: OrbitControls;
+  #awakeUntil_ms = 0;
+  #ratio: number;
+  #frame_ms = 16;
+  #lastDrawn_ms = 0;
+  #flight: { from: CameraPlace; to: CameraPlace; start_ms: number } | undefined;
+  #handMode = false;
+  /** Called once a display frame, before it is drawn. */
+  onFrame: (now_ms: number) => void = () => {};
+  framesDrawn = 0;
+
+  constructor(canvas: HTMLCanvasElement) {
+    this.canvas = canvas;
+    this.#renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "high-performance" });
+    this.#renderer.toneMapping = ACESFilmicToneMapping;
+    this.#renderer.toneMappingExposure = 0.95;
+    this.#renderer.shadowMap.enabled = true;
+    this.#renderer.shadowMap.type = PCFSoftShadowMap;
+    this.#ratio = Math.min(devicePixelRatio, 2);
+    this.#renderer.setPixelRatio(this.#ratio);
+    const environment = new PMREMGenerator(this.#renderer);
+    this.scene.environment = environment.fromScene(new RoomEnvironment(), 0.04).texture;
+    this.scene.environmentIntensity = 0.55;
+    environment.dispose();
+    this.#key.castShadow = true;
+    this.#key.shadow.mapSize.set(2048, 2048);
+    this.#key.shadow.bias = -0.0006;
+    this.#key.shadow.normalBias = 0.00025;
+    this.#key.shadow.radius = 5;
+    this.scene.add(this.#sky, this.#key, this.#key.target);
+    this.camera.position.set(0.1, 0.06, 0.06);
+    this.#controls = this.#makeControls(new Vector3());
+    new ResizeObserver(() => this.#resize()).observe(canvas.parentElement!);
+    this.#resize();
+    const loop = (now_ms: number) => {
+      requestAnimationFrame(loop);
+      this.#tick(now_ms);
+    };
+    requestAnimationFrame(loop);
+  }
+
+  /** Draws for a while. */
+  wake(): void {
+    this.#awakeUntil_ms = performance.now() + kAwake_ms;
+  }
+
+  get aspect(): number {
+    return this.camera.aspect;
+  }
+  get fov_rad(): number {
+    return (kFov_deg * Math.PI) / 180;
+  }
+  get target(): Vec3 {
+    return this.#controls.target.toArray() as Vec3;
+  }
+  get size(): { width: number; height: number } {
+    return { width: this.canvas.clientWidth, height: this.canvas.clientHeight };
+  }
+
+  set background(colour: string) {
+    const dark = new Color(colour).getHSL({ h: 0, s: 0, l: 0 }).l < 0.5;
+    this.#sky.intensity = dark ? 0.75 : 1.05;
+    this.scene.environmentIntensity = dark ? 0.55 : 0.7;
+    this.wake();
+  }
+
+  /** Sets light, clipping and the camera's up for a scene of that size. */
+  setAxes(axes: SceneAxes): void {
+    const centre = new Vector3(...axes.centre);
+    this.camera.near = axes.radius / 100;
+    this.camera.far = axes.radius * 60;
+    this.camera.up.set(...axes.up);
+    const light = new Vector3(...axes.front).multiplyScalar(1.1).addScaledVector(new Vector3(...axes.up), 1.7)
+      .addScaledVector(new Vector3(...axes.along), -0.7).normalize();
+    this.#key.position.copy(centre).addScaledVector(light, axes.radius * 4);
+    this.#key.target.position.copy(centre);
+    const shadow = this.#key.shadow.camera;
+    shadow.left = shadow.bottom = -axes.radius * 1.25;
+    shadow.right = shadow.top = axes.radius * 1.25;
+    shadow.near = axes.radius;
+    shadow.far = axes.radius * 8;
+    shadow.updateProjectionMatrix();
+    const target = this.#controls.target.clone();
+    this.#controls.dispose();
+    this.#controls = this.#makeControls(target);
+    this.#applyHandMode();
+    this.#resize();
+  }
+
+  /** Looks from there, at once or in a short flight. */
+  goTo(place: CameraPlace, fly: boolean): void {
+    if (fly && !matchMedia("(prefers-reduced-motion: reduce)").matches) {
+      const from = { position: this.camera.position.toArray() as Vec3, target: this.target };
+      this.#flight = { from, to: place, start_ms: performance.now() };
+    } else {
+      this.#flight = undefined;
+      this.camera.position.set(...place.position);
+      this.#controls.target.set(...place.target);
+      this.#controls.update();
+    }
+    this.wake();
+  }
+
+  /** Turns about the target by angles in radians. */
+  orbit(azimuth: number, elevation: number): void {
+    const offset = this.camera.position.clone().sub(this.#controls.target);
+    const right = new Vector3().crossVectors(this.camera.up, offset).normalize();
+    const polar = this.camera.up.angleTo(offset);
+    const lift = Math.min(polar - 0.05, Math.max(polar - Math.PI + 0.05, elevation));
+    offset.applyAxisAngle(right, -lift).applyAxisAngle(this.camera.up, azimuth);
+    this.camera.position.copy(this.#controls.target).add(offset);
+    this.wake();
+  }
+
+  zoom(factor: number): void {
+    this.camera.position.sub(this.#controls.target).multiplyScalar(factor).add(this.#controls.target);
+    this.wake();
+  }
+
+  /** While a hand holds a tool the left button and the wheel are the hand's. */
+  set handMode(on: boolean) {
+    this.#handMode = on;
+    this.#applyHandMode();
+  }
+
+  /** Returns the camera's axes in the world. */
+  axes(): { right: Vec3; up: Vec3; back: Vec3 } {
+    const [right, up, back] = [new Vector3(), new Vector3(), new Vector3()];
+    this.camera.updateMatrixWorld();
+    this.camera.matrixWorld.extractBasis(right, up, back);
+    return { right: right.toArray() as Vec3, up: up.toArray() as Vec3, back: back.toArray() as Vec3 };
+  }
+
+  /** Returns how many metres a pixel is at that point. */
+  metresPerPixel(at: Vec3): number {
+    const depth = new Vector3(...at).sub(this.camera.position).dot(this.camera.getWorldDirection(new Vector3()));
+    return (2 * Math.max(depth, this.camera.near) * Math.tan(this.fov_rad / 2)) / Math.max(1, this.size.height);
+  }
+
+  /** Returns the ray through a point of the page. */
+  ray(clientX: number, clientY: number): Raycaster {
+    const box = this.canvas.getBoundingClientRect();
+    const at = new Vector2(((clientX - box.left) / box.width) * 2 - 1, 1 - ((clientY - box.top) / box.height) * 2);
+    const ray = new Raycaster();
+    ray.setFromCamera(at, this.camera);
+    return ray;
+  }
+
+  #makeControls(target: Vector3): OrbitControls {
+    const controls = new OrbitControls(this.camera, this.canvas);
+    controls.target.copy(target);
+    controls.enableDamping = true;
+    controls.dampingFactor = 0.12;
+    controls.zoomToCursor = false;
+    controls.addEventListener("change", () => this.wake());
+    controls.addEventListener("start", () => {
+      this.#flight = undefined;
+      this.wake();
+    });
+    return controls;
+  }
+
+  #applyHandMode(): void {
+    const hand = this.#handMode;
+    this.#controls.enableZoom = !hand;
+    this.#controls.mouseButtons = hand
+      ? { LEFT: null, MIDDLE: MOUSE.ROTATE, RIGHT: MOUSE.ROTATE }
+      : { LEFT: MOUSE.ROTATE, MIDDLE: MOUSE.DOLLY, RIGHT: MOUSE.PAN };
+    this.#controls.touches = hand ? { ONE: null, TWO: TOUCH.DOLLY_ROTATE } : { ONE: TOUCH.ROTATE, TWO: TOUCH.DOLLY_PAN };
+  }
+
+  #resize(): void {
+    const parent = this.canvas.parentElement!;
+    const [width, height] = [parent.clientWidth, parent.clientHeight];
+    if (width === 0 || height === 0) return;
+    this.#renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.wake();
+  }
+
+  #tick(now_ms: number): void {
+    this.onFrame(now_ms);
+    if (this.#flight) {
+      const { from, to, start_ms } = this.#flight;
+      const x = Math.min(1, (performance.now() - start_ms) / kFly_ms);
+      const share = x * x * (3 - 2 * x);
+      this.camera.position.set(...from.position).lerp(new Vector3(...to.position), share);
+      this.#controls.target.set(...from.target).lerp(new Vector3(...to.target), share);
+      if (x >= 1) this.#flight = undefined;
+      this.wake();
+    }
+    this.#controls.update();
+    if (performance.now() > this.#awakeUntil_ms) {
+      this.#lastDrawn_ms = 0;
+      return;
+    }
+    this.#renderer.render(this.scene, this.camera);
+    ++this.framesDrawn;
+    this.#adapt(now_ms);
+  }
+
+  /** Fewer pixels where drawing is slow: the hand and the loop matter more. */
+  #adapt(now_ms: number): void {
+    const elapsed_ms = now_ms - this.#lastDrawn_ms;
+    const resting = this.#lastDrawn_ms === 0 || elapsed_ms > 1000;
+    this.#lastDrawn_ms = now_ms;
+    if (resting) return;
+    this.#frame_ms += 0.05 * (elapsed_ms - this.#frame_ms);
+    const most = Math.min(devicePixelRatio, 2);
+    let ratio = this.#ratio;
+    if (this.#frame_ms > kSlowFrame_ms) ratio = Math.max(0.7 * Math.min(1, most), ratio * 0.85);
+    else if (this.#frame_ms < kFastFrame_ms) ratio = Math.min(most, ratio * 1.1);
+    if (Math.abs(ratio - this.#ratio) < 0.02) return;
+    this.#ratio = ratio;
+    this.#frame_ms = 30;
+    this.#renderer.setPixelRatio(ratio);
+    this.#resize();
+  }
+}
