@@ -23,12 +23,22 @@ function compress(): Plugin {
   };
 }
 
-// `npm run dev` shows the page from here and takes the scene from a server at SUTURE_SERVER.
+// `npm run dev` shows the page from here and takes the scene from a server at SUTURE_SERVER, through a
+// proxy: the server lets in no page of another origin.
 const server = process.env["SUTURE_SERVER"] ?? "127.0.0.1:8080";
+const kProxied = "/suture";
 
-export default defineConfig({
+export default defineConfig(({ command }) => ({
   base: "./",
-  define: { __DEV_SERVER__: JSON.stringify(process.env["NODE_ENV"] === "production" ? "" : server) },
+  define: { __SOCKET_PATH__: JSON.stringify(command === "serve" ? kProxied : "/") },
+  server: {
+    proxy: {
+      [kProxied]: {
+        target: `ws://${server}`, ws: true, rewrite: (path) => path.slice(kProxied.length) || "/",
+        changeOrigin: true, headers: { origin: `http://${server}` },
+      },
+    },
+  },
   build: {
     outDir: "../../build/viewer",
     emptyOutDir: true,
@@ -37,4 +47,4 @@ export default defineConfig({
   },
   worker: { format: "es" },
   plugins: [compress()],
-});
+}));

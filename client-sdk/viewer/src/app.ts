@@ -116,7 +116,7 @@ export class App {
     // A picture may take long, or not be drawn at all: the hand's word does not depend on it.
     setInterval(() => this.#hand.alive(), kAlive_ms);
     setInterval(() => this.#updatePanels(performance.now()), kPanelPeriod_ms);
-    this.#link.connect(serverAddress(location.href, __DEV_SERVER__));
+    this.#link.connect(serverAddress(location.href, __SOCKET_PATH__));
     window.addEventListener("hashchange", () => location.reload());
   }
 

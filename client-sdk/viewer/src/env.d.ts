@@ -1,3 +1,3 @@
 // SPDX-License-Identifier: Apache-2.0
-/** HOST:PORT of a server while the page is being developed; empty in a build. */
-declare const __DEV_SERVER__: string;
+/** Of the server's WebSocket; a proxy's while the page is being developed. */
+declare const __SOCKET_PATH__: string;

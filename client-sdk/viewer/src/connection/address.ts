@@ -4,14 +4,11 @@
  * Returns the WebSocket of the server that gave the page at `page`, with the token of its fragment.
  *
  *     https://host:1/#token=abc  →  wss://host:1/?token=abc
- *
- * `devServer` (HOST:PORT) stands for the page's own host while the page is being developed.
  */
-export function serverAddress(page: string, devServer = ""): string {
+export function serverAddress(page: string, path = "/"): string {
   const from = new URL(page);
-  const to = new URL(devServer === "" ? from.origin : `http://${devServer}`);
-  to.protocol = from.protocol === "https:" && devServer === "" ? "wss:" : "ws:";
-  to.pathname = "/";
+  const to = new URL(path, from.origin);
+  to.protocol = from.protocol === "https:" ? "wss:" : "ws:";
   const token = new URLSearchParams(from.hash.slice(1)).get("token");
   if (token) to.searchParams.set("token", token);
   return to.href;

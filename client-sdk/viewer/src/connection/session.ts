@@ -119,7 +119,7 @@ export class Session implements HandOutput {
 
   #onChannels(channels: Channel[]): void {
     const wanted = channels.filter((channel) => channel.encoding === "cdr" && channel.schemaEncoding === "omgidl" &&
-      channel.topic.startsWith("suture/"));
+      (channel.topic === kForce || (kWatched as readonly string[]).includes(channel.topic)));
     for (const channel of wanted) {
       this.#channels.set(channel.topic, channel);
       if (channel.schema === this.#schema) continue;
@@ -130,7 +130,7 @@ export class Session implements HandOutput {
         this.#complain(`the schema of ${channel.topic} cannot be read: ${String(error)}`);
       }
     }
-    this.#subscribe(wanted.filter((channel) => (kWatched as readonly string[]).includes(channel.topic)));
+    this.#subscribe(wanted.filter((channel) => channel.topic !== kForce));
     if (this.#hand) this.#watchForces(true);
   }
 

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Needles and threads: tubes along the courses that the server sends, with rings at their punctures.
-import { Group, MeshStandardMaterial } from "three";
+import { Group, MeshMatcapMaterial, type Material } from "three";
 import type { NeedleState, ThreadState } from "../protocol/messages";
 import { AutoRange, kTensionMap } from "./colour_map";
+import { steelMatcap } from "./matcaps";
 import { Punctures } from "./punctures";
 import { ScalarMaterial } from "./scalar_material";
 import { mixInto, stampMs, Timeline } from "./timeline";
@@ -52,8 +53,8 @@ export class Sutures {
   readonly #punctures = new Punctures();
   readonly #needles = new Map<string, Strand<NeedleState>>();
   readonly #threads = new Map<string, Strand<ThreadState>>();
-  readonly #steel = new MeshStandardMaterial({ color: 0xd7dde4, roughness: 0.22, metalness: 0.95, envMapIntensity: 1.3 });
-  readonly #silk = new ScalarMaterial(kTensionMap, { roughness: 0.55, metalness: 0, emissive: 0x1a1f3a, envMapIntensity: 0.5 });
+  readonly #steel = new MeshMatcapMaterial({ matcap: steelMatcap() });
+  readonly #silk = new ScalarMaterial(kTensionMap, { roughness: 0.55, metalness: 0, emissive: 0x1a1f3a });
 
   constructor() {
     this.group.add(this.#punctures.mesh);
@@ -108,7 +109,7 @@ export class Sutures {
     return [...this.#threads.values()].flatMap((strand) => strand.timeline.latest ?? []);
   }
 
-  #strand<T extends Course>(strands: Map<string, Strand<T>>, name: string, material: MeshStandardMaterial): Strand<T> {
+  #strand<T extends Course>(strands: Map<string, Strand<T>>, name: string, material: Material): Strand<T> {
     let strand = strands.get(name);
     if (!strand) {
       strands.set(name, (strand = new Strand<T>(new Tube(material))));

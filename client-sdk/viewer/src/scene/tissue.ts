@@ -118,7 +118,7 @@ export class Tissue {
   readonly group = new Group();
   readonly range = new AutoRange(2000);
   readonly #bodies = new Map<string, Body>();
-  readonly #material = new ScalarMaterial(kStressMaps[0]!, { roughness: 0.5, metalness: 0, envMapIntensity: 0.55 });
+  readonly #material = new ScalarMaterial(kStressMaps[0]!, { roughness: 0.48, metalness: 0 });
   #observed_ms = 0;
 
   /** Takes a body at rest. Returns whether it is another one than before. */

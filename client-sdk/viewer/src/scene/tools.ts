@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 import {
-  BoxGeometry, Color, CylinderGeometry, Group, Mesh, MeshStandardMaterial, Quaternion, SphereGeometry, TorusGeometry, Vector3,
+  BoxGeometry, Color, CylinderGeometry, Group, Mesh, MeshMatcapMaterial,
+  MeshStandardMaterial, Quaternion, SphereGeometry, TorusGeometry, Vector3, type Material,
 } from "three";
 import type { Pose, Quat, Vec3 } from "../maths/vector";
 import { FORCE_ENGAGED, ToolState, type ToolView } from "../protocol/messages";
 import { Arrows, type Arrow } from "./arrows";
+import { steelMatcap } from "./matcaps";
 import { stampMs, Timeline } from "./timeline";
 
 /** Of the tools, in the order in which they come. */
 export const kToolColours = ["#2dd4bf", "#f59e0b", "#a78bfa", "#f472b6", "#60a5fa", "#a3e635"];
 
+const kSteel = steelMatcap();
 const kJaw_m = 0.006;
 const kHinge_m = 0.0065;
 const kShaft_m = 0.075;
@@ -24,11 +27,11 @@ class Instrument {
   readonly timeline = new Timeline<ToolView>();
   readonly colour: Color;
   readonly #jaws: Group[] = [];
-  readonly #body: MeshStandardMaterial;
+  readonly #body: MeshMatcapMaterial;
 
   constructor(kind: string, colour: Color) {
     this.colour = colour;
-    this.#body = new MeshStandardMaterial({ color: 0xb9c2cc, roughness: 0.32, metalness: 0.85 });
+    this.#body = new MeshMatcapMaterial({ matcap: kSteel });
     const accent = new MeshStandardMaterial({ color: colour, roughness: 0.4, metalness: 0.1, emissive: colour, emissiveIntensity: 0.18 });
     const along = (mesh: Mesh, z: number) => {
       mesh.rotation.x = Math.PI / 2;
@@ -74,7 +77,7 @@ class Instrument {
   set led(led: boolean) {
     this.group.traverse((each) => {
       if (!(each instanceof Mesh)) return;
-      const material = each.material as MeshStandardMaterial;
+      const material = each.material as Material;
       material.transparent = !led;
       material.opacity = led ? 1 : 0.28;
       each.castShadow = led;
@@ -82,7 +85,7 @@ class Instrument {
   }
 
   set faulty(faulty: boolean) {
-    this.#body.emissive.set(faulty ? 0x8a1020 : 0x000000);
+    this.#body.color.set(faulty ? 0xff6a78 : 0xffffff);
   }
 }
 

@@ -2,10 +2,9 @@
 // Renderer, light, camera and the loop. It draws while something changes, and rests otherwise.
 import {
   ACESFilmicToneMapping, Color, DirectionalLight, HemisphereLight, MOUSE, PCFSoftShadowMap, PerspectiveCamera,
-  PMREMGenerator, Raycaster, Scene, TOUCH, Vector2, Vector3, WebGLRenderer,
+  Raycaster, Scene, TOUCH, Vector2, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
 import type { Vec3 } from "../maths/vector";
 import type { CameraPlace, SceneAxes } from "./cameras";
 
@@ -20,8 +19,11 @@ export class View {
   readonly camera = new PerspectiveCamera(kFov_deg, 1, 1e-4, 10);
   readonly canvas: HTMLCanvasElement;
   readonly #renderer: WebGLRenderer;
-  readonly #key = new DirectionalLight(0xfff4ea, 2.1);
-  readonly #sky = new HemisphereLight(0xdfeaff, 0x50423c, 0.75);
+  // A warm key that casts shadows, a cool fill beside the camera, a rim from behind, and the sky.
+  readonly #key = new DirectionalLight(0xfff2e6, 2.3);
+  readonly #fill = new DirectionalLight(0xdbe8ff, 0.7);
+  readonly #rim = new DirectionalLight(0xbfd4ff, 0.9);
+  readonly #sky = new HemisphereLight(0xe6efff, 0x6b5148, 1.0);
   #controls: OrbitControls;
   #awakeUntil_ms = 0;
   #ratio: number;
@@ -42,16 +44,12 @@ export class View {
     this.#renderer.shadowMap.type = PCFSoftShadowMap;
     this.#ratio = Math.min(devicePixelRatio, 2);
     this.#renderer.setPixelRatio(this.#ratio);
-    const environment = new PMREMGenerator(this.#renderer);
-    this.scene.environment = environment.fromScene(new RoomEnvironment(), 0.04).texture;
-    this.scene.environmentIntensity = 0.55;
-    environment.dispose();
     this.#key.castShadow = true;
     this.#key.shadow.mapSize.set(2048, 2048);
     this.#key.shadow.bias = -0.0006;
     this.#key.shadow.normalBias = 0.00025;
     this.#key.shadow.radius = 5;
-    this.scene.add(this.#sky, this.#key, this.#key.target);
+    this.scene.add(this.#sky, this.#key, this.#key.target, this.#fill, this.#fill.target, this.#rim, this.#rim.target);
     this.camera.position.set(0.1, 0.06, 0.06);
     this.#controls = this.#makeControls(new Vector3());
     new ResizeObserver(() => this.#resize()).observe(canvas.parentElement!);
@@ -83,8 +81,7 @@ export class View {
 
   set background(colour: string) {
     const dark = new Color(colour).getHSL({ h: 0, s: 0, l: 0 }).l < 0.5;
-    this.#sky.intensity = dark ? 0.75 : 1.05;
-    this.scene.environmentIntensity = dark ? 0.55 : 0.7;
+    this.#sky.intensity = dark ? 1.0 : 1.35;
     this.wake();
   }
 
@@ -97,7 +94,12 @@ export class View {
     const light = new Vector3(...axes.front).multiplyScalar(1.1).addScaledVector(new Vector3(...axes.up), 1.7)
       .addScaledVector(new Vector3(...axes.along), -0.7).normalize();
     this.#key.position.copy(centre).addScaledVector(light, axes.radius * 4);
-    this.#key.target.position.copy(centre);
+    for (const light of [this.#key, this.#fill, this.#rim]) light.target.position.copy(centre);
+    const place = (light: DirectionalLight, front: number, up: number, along: number) =>
+      light.position.copy(centre).addScaledVector(new Vector3(...axes.front), front * axes.radius)
+        .addScaledVector(new Vector3(...axes.up), up * axes.radius).addScaledVector(new Vector3(...axes.along), along * axes.radius);
+    place(this.#fill, 3, 0.4, 2.5);
+    place(this.#rim, -3, 0.8, 0.5);
     const shadow = this.#key.shadow.camera;
     shadow.left = shadow.bottom = -axes.radius * 1.25;
     shadow.right = shadow.top = axes.radius * 1.25;
