@@ -33,7 +33,7 @@ const kAlive_ms = 200;
 const kSpoken = new Set([EventKind.Grasp, EventKind.Release, EventKind.Puncture, EventKind.Exit, EventKind.Fault, EventKind.Stopped]);
 
 export class App {
-  readonly #view = new View(byId("canvas") as HTMLCanvasElement);
+  readonly #view: View;
   readonly #link: Link;
   readonly #stage: Stage;
   readonly #hand: Hand;
@@ -69,6 +69,9 @@ export class App {
       notice: (text) => this.#events.notice(text, "warn"),
       commandSent: () => {},
     });
+    // The worker connects while the picture is made ready: what it has to say waits in its channel.
+    this.#link.connect(serverAddress(location.href, __SOCKET_PATH__));
+    this.#view = new View(byId("canvas") as HTMLCanvasElement);
     this.#stage = new Stage(this.#view, byId("labels"), this.#link, (ms) => {
       document.documentElement.dataset["firstPictureMs"] = ms.toFixed(0);
     });
@@ -116,7 +119,6 @@ export class App {
     // A picture may take long, or not be drawn at all: the hand's word does not depend on it.
     setInterval(() => this.#hand.alive(), kAlive_ms);
     setInterval(() => this.#updatePanels(performance.now()), kPanelPeriod_ms);
-    this.#link.connect(serverAddress(location.href, __SOCKET_PATH__));
     window.addEventListener("hashchange", () => location.reload());
   }
 

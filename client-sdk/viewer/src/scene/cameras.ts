@@ -59,7 +59,7 @@ export function presetPlace(preset: Preset, axes: SceneAxes, fov_rad: number, as
   });
   switch (preset) {
     case "Overview":
-      return from(add(add(front, scale(up, 0.55)), scale(along, 0.38)));
+      return from(add(add(front, scale(up, 0.42)), scale(along, 0.24)));
     case "Front":
       return from(front);
     case "Side":

@@ -14,7 +14,7 @@ const hex = (text: string): Rgb[] =>
 
 export const kStressMaps: readonly ColourMap[] = [
   // At rest the colour of tissue, then through orange and red into violet.
-  { name: "Tissue", stops: hex("f0cdb8 f3b993 f4a06c f0824f e4603f cf3d42 ae2250 85175a 5a1457 32104a") },
+  { name: "Tissue", stops: hex("eab59c f0a77f f39263 ee7749 e25a3c cc3a40 ab204f 831659 581457 300f4a") },
   { name: "Viridis", stops: hex("440154 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725") },
   { name: "Magma", stops: hex("000004 1c1044 4f127b 812581 b5367a e55064 fb8761 fec287 fcfdbf") },
 ];

@@ -30,7 +30,7 @@ export class Stage {
   #epoch = -1n;
   #placed = false;
   #picked: { body: string; vertex: number } | undefined;
-  #firstPicture: (ms: number) => void;
+  readonly #firstPicture: (ms: number) => void;
 
   constructor(view: View, labels: HTMLElement, link: Link, firstPicture: (ms: number) => void) {
     this.#view = view;
@@ -39,6 +39,8 @@ export class Stage {
     this.#marker = new Mesh(new SphereGeometry(1, 20, 14), new MeshBasicMaterial({ color: 0x2563eb }));
     this.#marker.visible = false;
     view.scene.add(this.tissue.group, this.sutures.group, this.tools.group, this.#contacts.group, this.#marker);
+
+    this.tissue.prepare(() => view.prepare());
 
     link.on("suture/mesh/topology", (topology) => {
       this.#meet(topology.epoch);
@@ -146,6 +148,10 @@ export class Stage {
     this.#view.setAxes(this.#axes);
     if (first || !this.#placed) this.look(kPresets[0], false);
     this.#placed = needle !== undefined;
-    if (first) requestAnimationFrame(() => requestAnimationFrame(() => this.#firstPicture(performance.now())));
+    if (first)
+      this.#view.onDrawn = () => {
+        this.#view.onDrawn = undefined;
+        this.#firstPicture(performance.now());
+      };
   }
 }

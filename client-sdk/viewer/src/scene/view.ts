@@ -1,18 +1,29 @@
 // SPDX-License-Identifier: Apache-2.0
 // Renderer, light, camera and the loop. It draws while something changes, and rests otherwise.
 import {
-  ACESFilmicToneMapping, Color, DirectionalLight, HemisphereLight, MOUSE, PCFSoftShadowMap, PerspectiveCamera,
+  Color, DirectionalLight, HemisphereLight, MOUSE, NeutralToneMapping, PCFSoftShadowMap, PerspectiveCamera,
   Raycaster, Scene, TOUCH, Vector2, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { Vec3 } from "../maths/vector";
 import type { CameraPlace, SceneAxes } from "./cameras";
 
-const kFov_deg = 32;
+const kFov_deg = 28;
 const kAwake_ms = 400;
 const kFly_ms = 450;
 const kSlowFrame_ms = 45;
 const kFastFrame_ms = 20;
+const kLeastRatio = 0.6;
+
+/** `?quality=best` in the page's address: shadows and all pixels, however slow. For pictures. */
+const wantsBest = (): boolean => new URLSearchParams(location.search).get("quality") === "best";
+
+/** Whether a processor draws, without a GPU: shadows would cost it most of its time. */
+function isSoftware(context: WebGL2RenderingContext): boolean {
+  const info = context.getExtension("WEBGL_debug_renderer_info");
+  const name = String(context.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : context.RENDERER));
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
 
 export class View {
   readonly scene = new Scene();
@@ -27,24 +38,31 @@ export class View {
   #controls: OrbitControls;
   #awakeUntil_ms = 0;
   #ratio: number;
+  readonly #adapts: boolean;
   #frame_ms = 16;
   #lastDrawn_ms = 0;
   #flight: { from: CameraPlace; to: CameraPlace; start_ms: number } | undefined;
   #handMode = false;
   /** Called once a display frame, before it is drawn. */
   onFrame: (now_ms: number) => void = () => {};
+  /** Called after each picture. */
+  onDrawn: (() => void) | undefined;
   framesDrawn = 0;
 
   constructor(canvas: HTMLCanvasElement) {
     this.canvas = canvas;
-    this.#renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "high-performance" });
-    this.#renderer.toneMapping = ACESFilmicToneMapping;
-    this.#renderer.toneMappingExposure = 0.95;
-    this.#renderer.shadowMap.enabled = true;
+    const context = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "high-performance" });
+    if (!context) throw new Error("this browser has no WebGL 2, which the picture needs");
+    this.#renderer = new WebGLRenderer({ canvas, context });
+    const plain = !wantsBest() && isSoftware(context);
+    this.#renderer.toneMapping = NeutralToneMapping;
+    this.#renderer.toneMappingExposure = 0.9;
+    this.#renderer.shadowMap.enabled = !plain;
     this.#renderer.shadowMap.type = PCFSoftShadowMap;
-    this.#ratio = Math.min(devicePixelRatio, 2);
+    this.#ratio = plain ? 0.75 : Math.min(devicePixelRatio, 2);
+    this.#adapts = !wantsBest();
     this.#renderer.setPixelRatio(this.#ratio);
-    this.#key.castShadow = true;
+    this.#key.castShadow = !plain;
     this.#key.shadow.mapSize.set(2048, 2048);
     this.#key.shadow.bias = -0.0006;
     this.#key.shadow.normalBias = 0.00025;
@@ -83,6 +101,11 @@ export class View {
     const dark = new Color(colour).getHSL({ h: 0, s: 0, l: 0 }).l < 0.5;
     this.#sky.intensity = dark ? 1.0 : 1.35;
     this.wake();
+  }
+
+  /** Prepares what will be drawn first, while its data is still on the way. */
+  prepare(): void {
+    this.#renderer.compile(this.scene, this.camera);
   }
 
   /** Sets light, clipping and the camera's up for a scene of that size. */
@@ -223,6 +246,7 @@ export class View {
     }
     this.#renderer.render(this.scene, this.camera);
     ++this.framesDrawn;
+    this.onDrawn?.();
     this.#adapt(now_ms);
   }
 
@@ -231,11 +255,11 @@ export class View {
     const elapsed_ms = now_ms - this.#lastDrawn_ms;
     const resting = this.#lastDrawn_ms === 0 || elapsed_ms > 1000;
     this.#lastDrawn_ms = now_ms;
-    if (resting) return;
+    if (resting || !this.#adapts) return;
     this.#frame_ms += 0.05 * (elapsed_ms - this.#frame_ms);
     const most = Math.min(devicePixelRatio, 2);
     let ratio = this.#ratio;
-    if (this.#frame_ms > kSlowFrame_ms) ratio = Math.max(0.7 * Math.min(1, most), ratio * 0.85);
+    if (this.#frame_ms > kSlowFrame_ms) ratio = Math.max(kLeastRatio * Math.min(1, most), ratio * 0.85);
     else if (this.#frame_ms < kFastFrame_ms) ratio = Math.min(most, ratio * 1.1);
     if (Math.abs(ratio - this.#ratio) < 0.02) return;
     this.#ratio = ratio;
