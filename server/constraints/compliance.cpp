@@ -415,6 +415,68 @@ void Compliance::displacements_m(std::span<const double> offset, std::span<doubl
   factor_->backward(forward_, offset, u);
 }
 
+void Compliance::serialize(Archive& archive) {
+  if (archive.reads()) clear();
+  if (archive.keeps_caches()) serialize_slots(archive);
+  // The forces, by vertex.
+  std::vector<std::pair<std::int32_t, Vec3>> forces;
+  for (const int slot : loaded_)
+    forces.emplace_back(columns_[static_cast<std::size_t>(slot)].vertex,
+                        force_n_[static_cast<std::size_t>(slot)]);
+  archive(forces);
+  if (!archive.reads()) return;
+  new_vertices_.clear();
+  for (const auto& [vertex, _] : forces) {
+    if (vertex < 0 || static_cast<std::size_t>(vertex) >= slot_of_vertex_.size())
+      throw ArchiveError("it is of another scene");
+    if (slot_of_vertex_[static_cast<std::size_t>(vertex)] < 0) new_vertices_.push_back(vertex);
+  }
+  walk(new_vertices_);
+  for (const auto& [vertex, force_n] : forces) {
+    const int slot = slot_of_vertex_[static_cast<std::size_t>(vertex)];
+    if (!archive.keeps_caches()) last_used_[static_cast<std::size_t>(slot)] = step_;
+    force_n_[static_cast<std::size_t>(slot)] = force_n;
+    loaded_.push_back(slot);
+  }
+}
+
+/// Archives what `assemble` keeps from step to step beyond the prepared slots, each in its place:
+/// the order of slots is the order of sums. Precondition when reading: nothing else is cached.
+void Compliance::serialize_slots(Archive& archive) {
+  int prepared = prepared_, used = high_water_;
+  archive(prepared, used, step_);
+  if (prepared != prepared_ || used < prepared ||
+      static_cast<std::size_t>(used) > slot_of_vertex_.size())
+    throw ArchiveError("it is of another scene");
+  while (used > capacity_) grow(2 * capacity_);
+  if (archive.reads()) high_water_ = used;
+  for (int slot = 0; slot < used; ++slot) archive(last_used_[static_cast<std::size_t>(slot)]);
+  const auto n = static_cast<std::size_t>(capacity_);
+  for (int slot = prepared; slot < used; ++slot) {
+    fem::PathColumns& columns = columns_[static_cast<std::size_t>(slot)];
+    archive(columns.vertex);
+    if (columns.vertex < 0) continue;
+    if (static_cast<std::size_t>(columns.vertex) >= slot_of_vertex_.size())
+      throw ArchiveError("it is of another scene");
+    slot_of_vertex_[static_cast<std::size_t>(columns.vertex)] = slot;
+    archive(columns);
+    // G is symmetric: each block once, with the slot that comes first.
+    for (int other = 0; other <= slot; ++other) {
+      std::uint8_t& known = known_[static_cast<std::size_t>(slot) * n +
+                                   static_cast<std::size_t>(other)];
+      archive(known);
+      known_[static_cast<std::size_t>(other) * n + static_cast<std::size_t>(slot)] = known;
+      if (!known) continue;
+      for (int r = 0; r < 3; ++r)
+        for (int c = 0; c < 3; ++c) {
+          archive(g_row(3 * slot + r)[3 * other + c]);
+          g_row(3 * other + c)[3 * slot + r] = g_row(3 * slot + r)[3 * other + c];
+        }
+    }
+  }
+  archive(paired_);
+}
+
 int Compliance::cached_vertices() const {
   return static_cast<int>(std::count_if(columns_.begin(), columns_.begin() + high_water_,
                                         [](const auto& column) { return column.vertex >= 0; }));

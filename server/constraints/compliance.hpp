@@ -16,6 +16,7 @@
 #include <span>
 #include <vector>
 
+#include "archive/archive.hpp"
 #include "constraints/rows.hpp"
 #include "fem/cholesky_factor.hpp"
 
@@ -71,12 +72,17 @@ class Compliance {
   /// backward pass.
   void displacements_m(std::span<const double> offset, std::span<double> u);
 
+  /// Archives the present forces, and with its caches the columns and the part of G that were not
+  /// prepared: prepared ones are the same in every instance of a scene.
+  void serialize(Archive& archive);
+
   [[nodiscard]] int cached_vertices() const;
   [[nodiscard]] std::uint64_t walks() const { return walks_; }
 
  private:
   int slot_of(std::int32_t vertex);
   int free_slot();
+  void serialize_slots(Archive& archive);
   void walk_new(const ConstraintRows& rows);
   void walk(std::span<const std::int32_t> vertices);
   void forget(int slot);

@@ -19,6 +19,7 @@
 #include <span>
 #include <vector>
 
+#include "archive/archive.hpp"
 #include "geometry/tet_mesh.hpp"
 
 namespace sutured::constraints {
@@ -108,6 +109,10 @@ class ConstraintRows {
   void touch(std::int32_t vertex, const Vec3& coefficient) {
     entries_.push_back({vertex, coefficient});
     ++rows_.back().entry_count;
+  }
+  void serialize(Archive& archive) {
+    auto& [rows, entries] = *this;
+    archive(rows, entries);
   }
   [[nodiscard]] int size() const { return static_cast<int>(rows_.size()); }
   [[nodiscard]] const Row& operator[](int i) const { return rows_[static_cast<std::size_t>(i)]; }

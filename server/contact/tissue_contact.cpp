@@ -93,6 +93,27 @@ void TissueContact::reset() {
   chosen_at_m_ = -1.0;
 }
 
+void TissueContact::serialize(Archive& archive) {
+  // Given by the scene: surface … far. Of one call, or made anew at the start of one: normals,
+  // cones, known, first_row.
+  auto& [surface, features, rest, rest_normals, tissue_of_triangle, young_modulus, edge_length, far,
+         last, normals, reach, slow_steps, moved, motion, chosen_at, speed, cones, near_vertex,
+         near_edge, vertex_due, edge_due, vertex_clear, edge_clear, close_vertices, close_edges,
+         pairs, known, first_row] = *this;
+  if (archive.reads()) reset();
+  archive(last, reach, slow_steps, motion, chosen_at, speed, pairs);
+  archive.fixed(moved);
+  if (archive.keeps_caches()) {
+    archive.fixed(near_vertex);
+    archive.fixed(near_edge);
+    archive.fixed(vertex_due);
+    archive.fixed(edge_due);
+    archive.fixed(vertex_clear);
+    archive.fixed(edge_clear);
+  }
+  if (archive.reads()) list_close();
+}
+
 const Pair* TissueContact::known(std::uint64_t key) const {
   const auto found =
       std::lower_bound(known_.begin(), known_.end(), key,
@@ -275,7 +296,11 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
     near_edge_[i].erase(std::unique(near_edge_[i].begin(), near_edge_[i].end()),
                         near_edge_[i].end());
   }
-  if (!changed) return;
+  if (changed) list_close();
+}
+
+/// Lists the features that have candidates.
+void TissueContact::list_close() {
   close_vertices_.clear();
   close_edges_.clear();
   for (std::size_t i = 0; i < near_vertex_.size(); ++i)

@@ -35,6 +35,7 @@
 #include <span>
 #include <vector>
 
+#include "archive/archive.hpp"
 #include "constraints/rows.hpp"
 #include "contact/features.hpp"
 #include "contact/proximity.hpp"
@@ -74,6 +75,9 @@ class TissueContact {
                 std::vector<int> tissue_of_triangle, std::vector<double> young_modulus_pa);
 
   void reset();
+  /// Archives the pairs and what decides about the next ones. The lists of what is near are caches:
+  /// without them all is looked for anew.
+  void serialize(Archive& archive);
 
   /// Finds and renews the pairs where the tissue is now. `tree` is over the surface, refit.
   void update(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree);
@@ -97,6 +101,7 @@ class TissueContact {
   void for_each_facing(std::int32_t vertex, double radius_m, std::span<const Vec3> positions_m,
                        const geometry::TriangleTree& tree, Visit&& visit) const;
   void search(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree);
+  void list_close();
   void choose(std::span<const Vec3> positions_m);
   void choose_vertex(std::int32_t vertex, std::span<const std::int32_t> triangles,
                      std::span<const Vec3> positions_m);

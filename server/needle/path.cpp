@@ -2,6 +2,7 @@
 #include "needle/path.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <utility>
 
@@ -59,6 +60,14 @@ Path::Path(const Curve& curve, std::uint64_t seed)
     : curve_(curve), seed_(seed), random_(static_cast<std::minstd_rand::result_type>(seed)) {
   cells_.reserve(256);
   crossings_.reserve(64);
+}
+
+void Path::serialize(Archive& archive) {
+  // The curve and the seed are the scene's; crossings are of one call.
+  auto& [curve, seed, random, cells, crossings] = *this;
+  auto state = std::bit_cast<std::array<std::byte, sizeof random>>(random);
+  archive(state, cells);
+  if (archive.reads()) random = std::bit_cast<std::minstd_rand>(state);
 }
 
 void Path::clear() {

@@ -32,6 +32,7 @@
 #include <utility>
 #include <vector>
 
+#include "archive/archive.hpp"
 #include "fem/elements.hpp"
 #include "geometry/topology.hpp"
 #include "geometry/triangle_tree.hpp"
@@ -119,6 +120,7 @@ class Path {
   /// Length of the needle inside tissue now.
   [[nodiscard]] double embedded_length_m() const;
   void clear();
+  void serialize(Archive& archive);
   /// Removes the cells of the oldest bite. Precondition: the needle's tail has left it.
   void drop_first_bite();
 

@@ -53,6 +53,18 @@ void NeedleBody::reset() {
   world_changed_ = true;
 }
 
+void NeedleBody::serialize(Archive& archive) {
+  // Given by the scene: scene … curve. Scratch of the least-squares slide: s, weight.
+  auto& [scene, index, description, curve, path, pose, mobility, tip, shaft, holder, held,
+         static_slip, static_slip_sign, static_limit, embedded_friction, axial_force,
+         first_cell_row, cell_rows, pending_slide, pending, pending_puncture, pending_exit,
+         began_pressing, world_changed, s, weight, tip_tissue, rows_compliance] = *this;
+  archive(path, pose, mobility, tip, shaft, holder, held, static_slip, static_slip_sign,
+          static_limit, embedded_friction, axial_force, first_cell_row, cell_rows, pending_slide,
+          pending, pending_puncture, pending_exit, began_pressing, world_changed, tip_tissue,
+          rows_compliance);
+}
+
 Vec6 NeedleBody::jacobian(const Vec3& point_m, const Vec3& direction) const {
   Vec6 j;
   j.head<3>() = direction;

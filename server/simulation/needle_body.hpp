@@ -53,6 +53,7 @@ class NeedleBody {
   NeedleBody(const scene::Scene& scene, int index);
 
   void reset();
+  void serialize(Archive& archive);
 
   /// Starts a substep: chooses the slide compliance and, by least squares, slides towards `target`.
   void begin(const TissueState& tissue, double dt_s, bool held,

@@ -45,6 +45,13 @@ void square_to_axis(const Vec3& tangent, ShaftContact::Touch& touch) {
 
 }  // namespace
 
+void ShaftContact::serialize(Archive& archive) {
+  auto& [touches, count, first_row] = *this;
+  archive(count, first_row);
+  if (count > kRowsMax) throw ArchiveError("it is of another build");
+  for (std::size_t i = 0; i < count; ++i) archive(touches[i]);
+}
+
 void ShaftContact::find(const TissueState& tissue, const NeedleBody& needle, double reach_m) {
   const std::array<Touch, kRowsMax> before_now = touches_;
   const std::span<const Touch> known(before_now.data(), count_);

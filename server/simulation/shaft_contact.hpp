@@ -14,6 +14,7 @@
 #include <array>
 #include <span>
 
+#include "archive/archive.hpp"
 #include "constraints/rows.hpp"
 #include "needle/path.hpp"
 #include "simulation/tissue_state.hpp"
@@ -42,6 +43,7 @@ class ShaftContact {
                 constraints::ConstraintRows& rows);
   void read(std::span<const double> lambda);
   void reset() { count_ = 0; }
+  void serialize(Archive& archive);
 
   [[nodiscard]] std::span<const Touch> touches() const { return {touches_.data(), count_}; }
   [[nodiscard]] bool pressing() const;

@@ -447,6 +447,31 @@ struct Simulation::State {
     }
   }
 
+  void serialize(Archive& archive) {
+    // Given by the scene: scene_in. Of one step: moving, touching_now, solver, response_builder,
+    // mobilities, bounds, target, states, last_solve.
+    auto& [scene_in, tissue_, needles_, tools_, threads_, contact_, inputs_, moving_, responses_,
+           needle_states_, thread_states_, contact_points_, touching_, touching_now_, events_,
+           pending_events_, report_, time, base, period, steps, settled_, inverted_told_, rows_,
+           solver_, response_builder_, mobilities_, bounds_, target_, lambda_, states_, warm_,
+           last_solve_] = *this;
+    archive(tissue_);
+    archive.fixed(needles_);
+    archive.fixed(tools_);
+    archive.fixed(threads_);
+    if (contact_) archive(*contact_);
+    archive.fixed(inputs_);
+    archive.fixed(responses_);
+    archive.fixed(needle_states_);
+    archive.fixed(thread_states_);
+    StepReport untimed = report_;
+    untimed.track_ns = untimed.contact_ns = untimed.assemble_ns = untimed.solve_ns =
+        untimed.backward_ns = untimed.model_ns = 0;
+    archive(contact_points_, touching_, events_, pending_events_, untimed, time, base, period,
+            steps, settled_, inverted_told_, rows_, lambda_, warm_);
+    if (archive.reads()) report_ = untimed;
+  }
+
   void reset() {
     for (NeedleBody& needle : needles) needle.reset();
     for (ToolBody& tool : tools) tool.reset();
@@ -486,6 +511,14 @@ void Simulation::update_displacements() {
   state_->look_for_inverted(state_->pending_events);
 }
 void Simulation::reset() { state_->reset(); }
+void Simulation::serialize(Archive& archive) {
+  try {
+    state_->serialize(archive);
+  } catch (...) {
+    if (archive.reads()) state_->reset();
+    throw;
+  }
+}
 double Simulation::time_s() const { return state_->time_s; }
 std::span<const ToolResponse> Simulation::responses() const { return state_->responses; }
 std::span<const NeedleState> Simulation::needles() const { return state_->needle_states; }

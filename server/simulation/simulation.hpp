@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "archive/archive.hpp"
 #include "geometry/tet_mesh.hpp"
 #include "scene/scene.hpp"
 #include "simulation/types.hpp"
@@ -55,6 +56,11 @@ class Simulation {
 
   /// Returns to the state after construction.
   void reset();
+
+  /// Archives the whole state, from which another instance of the same scene goes on: with the
+  /// caches to the bit, without them up to rounding. Everything that can be read is as it was, but
+  /// for the times in `report`. Throws ArchiveError when reading; it is then as after `reset`.
+  void serialize(Archive& archive);
 
   [[nodiscard]] double time_s() const;
   [[nodiscard]] std::span<const ToolResponse> responses() const;  ///< one per tool

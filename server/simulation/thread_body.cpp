@@ -81,6 +81,14 @@ void ThreadBody::reset(const TissueState& tissue, std::span<const NeedleBody> ne
   draw();
 }
 
+void ThreadBody::serialize(Archive& archive) {
+  // Given by the scene: scene … needle, hanging. Of one call: previous_spans.
+  auto& [scene, index, description, needle, bites, path_bites, holds, chain, spans, previous_spans,
+         drawn, tail_out, head_out, ends_known, rest_length, hanging, world_changed] = *this;
+  archive(bites, path_bites, holds, chain, spans, drawn, tail_out, head_out, ends_known,
+          rest_length, world_changed);
+}
+
 /// The cells that the needle's tail has left, as bites.
 void ThreadBody::take_path(const TissueState& tissue, NeedleBody& needle) {
   const needle::TissueView view = tissue.view();

@@ -53,6 +53,7 @@ class ThreadBody {
              std::span<const NeedleBody> needles);
 
   void reset(const TissueState& tissue, std::span<const NeedleBody> needles);
+  void serialize(Archive& archive);
 
   /// Takes over the bites that the needle's tail has passed, gives way to what was pulled, and lays
   /// out the course. Call once a substep after the needles were tracked.

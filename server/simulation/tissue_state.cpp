@@ -155,13 +155,18 @@ void TissueState::apply(const constraints::ConstraintRows& rows,
 void TissueState::refresh() {
   if (!stale_) return;
   compliance_->displacements_m(free_displacement_m_, displacement_m_);
+  place();
+  stale_ = false;
+}
+
+/// Makes what follows from the displacements.
+void TissueState::place() {
   for (std::size_t v = 0; v < positions_m_.size(); ++v)
     positions_m_[v] =
         model_.vertices_m[v] +
         Vec3(displacement_m_[3 * v], displacement_m_[3 * v + 1], displacement_m_[3 * v + 2]);
   tree_.refit(positions_m_);
   count_inverted();
-  stale_ = false;
 }
 
 void TissueState::count_inverted() {
@@ -180,6 +185,17 @@ void TissueState::reset() {
   compliance_->clear();
   apply(constraints::ConstraintRows(), {});
   refresh();
+}
+
+void TissueState::serialize(Archive& archive) {
+  // Given by the scene: model … triangle_of_face, and where the loads alone bring the tissue.
+  // `place` makes the rest.
+  auto& [model, rest_shapes, vertex_volume, tissue_of_tet, bodies, adjacency, surface, tree,
+         triangle_of_face, compliance, free_displacement, displacement, free_positions, positions,
+         inverted_tets, first_inverted_tet, stale] = *this;
+  archive(*compliance, stale);
+  archive.fixed(displacement);
+  if (archive.reads()) place();
 }
 
 void TissueState::compute_stress(StressField& field) const {

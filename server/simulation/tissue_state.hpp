@@ -31,6 +31,7 @@ class TissueState {
   void refresh();
   /// Returns to the state without constraint forces.
   void reset();
+  void serialize(Archive& archive);
 
   [[nodiscard]] needle::TissueView view() const {
     return {positions_m_, model_.tets, &adjacency_, &surface_, &tree_, triangle_of_face_};
@@ -65,6 +66,7 @@ class TissueState {
   void compute_stress(StressField& field) const;
 
  private:
+  void place();
   void count_inverted();
 
   fem::Model model_;

@@ -57,6 +57,18 @@ void ToolBody::reset() {
   world_changed_ = true;
 }
 
+void ToolBody::serialize(Archive& archive) {
+  // Given by the scene: scene, index, description.
+  auto& [scene, index, description, input, closed, held, needle, thread, needle_s, tissue_point,
+         anchor_tool, needle_in_tool, slipping_force, slipping_torque, force_axis, torque_axis,
+         force, torque, slip_reported, thread_tension_max, first_row, rows, contacts, wrench,
+         arm_moment, touching, world_changed] = *this;
+  archive(input, closed, held, needle, thread, needle_s, tissue_point, anchor_tool, needle_in_tool,
+          slipping_force, slipping_torque, force_axis, torque_axis, force, torque, slip_reported,
+          thread_tension_max, first_row, rows, contacts, wrench, arm_moment, touching,
+          world_changed);
+}
+
 Vec6 ToolBody::jacobian(const Vec3& point_m, const Vec3& direction) const {
   Vec6 j;
   j.head<3>() = direction;

@@ -30,6 +30,7 @@ class ToolBody {
   ToolBody(const scene::Scene& scene, int index);
 
   void reset();
+  void serialize(Archive& archive);
 
   /// Moves to `input`; opens and closes the jaw. Call once a substep, tissue refreshed.
   void move(const ToolInput& input, const TissueState& tissue, std::span<NeedleBody> needles,
