@@ -1,11 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <charconv>
 #include <chrono>
 #include <cstdio>
+#include <limits>
+#include <map>
 
 #include "commands.hpp"
 #include "suture/session.hpp"
 
 namespace suture::cli {
+namespace {
+
+constexpr double kRewindMax_s = 1e6;
+
+/// NaN where the whole text is not a number.
+double seconds_in(const std::string& text) {
+  double seconds = 0.0;
+  const auto [end, fault] = std::from_chars(text.data(), text.data() + text.size(), seconds);
+  const bool whole = fault == std::errc() && end == text.data() + text.size();
+  return whole ? seconds : std::numeric_limits<double>::quiet_NaN();
+}
+
+}  // namespace
 
 int run_command(const CommandArguments& arguments) {
   SessionOptions options;
@@ -13,16 +29,40 @@ int run_command(const CommandArguments& arguments) {
   options.session = arguments.session.session;
   options.timeout =
       std::chrono::milliseconds(static_cast<std::int64_t>(arguments.session.timeout_s * 1000.0));
-  CommandKind kind = CommandKind::kReleaseTool;
-  if (arguments.kind == "pause") kind = CommandKind::kPause;
-  if (arguments.kind == "resume") kind = CommandKind::kResume;
-  if (arguments.kind == "reset") kind = CommandKind::kReset;
-  if (arguments.kind == "stop") kind = CommandKind::kStop;
-  if (kind == CommandKind::kReleaseTool && arguments.tool.empty()) {
-    throw Error(ErrorCode::kBadInput, "release needs a tool", "add --tool NAME");
+  const std::map<std::string, CommandKind> kinds{
+      {"pause", CommandKind::kPause},         {"resume", CommandKind::kResume},
+      {"reset", CommandKind::kReset},         {"stop", CommandKind::kStop},
+      {"release", CommandKind::kReleaseTool}, {"checkpoint", CommandKind::kCheckpoint},
+      {"rewind", CommandKind::kRewind},       {"restore", CommandKind::kRestore},
+  };
+  const CommandKind kind = kinds.at(arguments.kind);
+  CommandDetails details;
+  details.tool = arguments.tool;
+  switch (kind) {
+    case CommandKind::kReleaseTool:
+      if (arguments.tool.empty())
+        throw Error(ErrorCode::kBadInput, "release needs a tool", "add --tool NAME");
+      break;
+    case CommandKind::kCheckpoint:
+    case CommandKind::kRestore:
+      details.checkpoint = arguments.value.empty() ? "checkpoint" : arguments.value;
+      break;
+    case CommandKind::kRewind:
+      details.seconds = seconds_in(arguments.value);
+      if (!(details.seconds > 0.0 && details.seconds <= kRewindMax_s))
+        throw Error(ErrorCode::kBadInput,
+                    "rewind needs to know how far, and \"" + arguments.value + "\" says it not",
+                    "give seconds above 0, as in `suture command rewind 10`");
+      break;
+    default:
+      break;
   }
+  if (!arguments.value.empty() && details.checkpoint.empty() && details.seconds == 0.0)
+    throw Error(ErrorCode::kBadInput,
+                arguments.kind + " takes no value, and \"" + arguments.value + "\" is one",
+                "leave it out");
   Session session(options);
-  const std::string text = session.command(kind, arguments.tool);
+  const std::string text = session.command(kind, details);
   std::printf("%s\n", text.empty() ? "done" : text.c_str());
   return kDone;
 }

@@ -77,6 +77,7 @@ struct ReplayArguments {
 struct CommandArguments {
   SessionArguments session;
   std::string kind;
+  std::string value;  ///< checkpoint and restore: a name; rewind: seconds
   std::string tool;
 };
 

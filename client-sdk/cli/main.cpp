@@ -185,15 +185,24 @@ int run(int argc, char** argv) {
   CommandArguments command;
   CLI::App* command_command = app.add_subcommand("command", "Tell the server to do something");
   add_session_options(*command_command, command.session);
-  command_command->add_option("what", command.kind, "pause, resume, reset, stop or release")
+  command_command
+      ->add_option("what", command.kind,
+                   "pause, resume, reset, stop, release, checkpoint, rewind or restore")
       ->required()
-      ->check(CLI::IsMember({"pause", "resume", "reset", "stop", "release"}));
+      ->check(CLI::IsMember(
+          {"pause", "resume", "reset", "stop", "release", "checkpoint", "rewind", "restore"}));
+  command_command->add_option("value", command.value,
+                              "checkpoint, restore: a name (\"checkpoint\" if none is given); "
+                              "rewind: simulated seconds");
   command_command->add_option("--tool", command.tool, "tool whose lease to end (release)");
   command_command->footer(
       "Examples:\n"
       "  suture command pause\n"
       "  suture command stop                  # zero force for all tools until resume\n"
-      "  suture command release --tool driver");
+      "  suture command release --tool driver\n"
+      "  suture command checkpoint before-knot\n"
+      "  suture command rewind 10\n"
+      "  suture command restore before-knot");
 
   try {
     app.parse(argc, argv);

@@ -5,7 +5,8 @@
 // reads them; reading, it fills them. So the two ways cannot differ. That no field is forgotten is
 // the compiler's business:
 //
-//   aggregates   have no list at all: Boost.PFR walks their fields
+//   aggregates   have no list at all: Boost.PFR walks their fields (GCC 12 breaks down over those
+//                that hold an array of what has a destructor: they need a list)
 //   classes      bind all of their members by a structured binding, which does not compile once a
 //                member is added; what is not archived is seen to be left out
 //
@@ -73,6 +74,8 @@ class Archive {
     elements(values.data(), expected);
   }
 
+  /// Returns how many bytes are still to be read.
+  [[nodiscard]] std::size_t left() const { return in_.size(); }
   /// Throws ArchiveError unless all bytes were read.
   void expect_end() const;
 
@@ -84,8 +87,8 @@ class Archive {
   [[nodiscard]] std::size_t length(std::size_t size);
 
   template <class T>
-  static constexpr bool is_plain = (std::is_arithmetic_v<T> && !std::is_same_v<T, bool>) ||
-                                   std::is_enum_v<T>;
+  static constexpr bool is_plain =
+      (std::is_arithmetic_v<T> && !std::is_same_v<T, bool>) || std::is_enum_v<T>;
 
   template <class T>
   void elements(T* first, std::size_t count) {

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <fstream>
 #include <stdexcept>
 #include <string>
+#include <system_error>
 
 namespace sutured::commands {
 
@@ -13,15 +15,28 @@ class OutputFile {
  public:
   OutputFile(const std::filesystem::path& directory, const std::string& name)
       : path_(directory / name), stream_(path_) {
-    if (!stream_)
-      throw std::runtime_error(path_.string() + ": cannot be written; choose another --out");
-    stream_.precision(17);
+    begin();
+  }
+  /// Goes on with a file of at least `size` bytes behind its first `size`, and drops the rest.
+  OutputFile(const std::filesystem::path& directory, const std::string& name, std::uint64_t size)
+      : path_(directory / name) {
+    std::error_code failed;
+    const std::uint64_t present = std::filesystem::file_size(path_, failed);
+    if (failed || present < size)
+      throw std::runtime_error(path_.string() +
+                               ": is not what the checkpoint's run had written; give --out the "
+                               "folder of that run");
+    std::filesystem::resize_file(path_, size, failed);
+    if (!failed) stream_.open(path_, std::ios::app | std::ios::ate);
+    begin();
   }
   template <typename T>
   OutputFile& operator<<(const T& value) {
     stream_ << value;
     return *this;
   }
+  /// Returns how long the file is now.
+  [[nodiscard]] std::uint64_t size() { return static_cast<std::uint64_t>(stream_.tellp()); }
   void close() {
     stream_.close();
     if (!stream_)
@@ -29,6 +44,11 @@ class OutputFile {
   }
 
  private:
+  void begin() {
+    if (!stream_)
+      throw std::runtime_error(path_.string() + ": cannot be written; choose another --out");
+    stream_.precision(17);
+  }
   std::filesystem::path path_;
   std::ofstream stream_;
 };

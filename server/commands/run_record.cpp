@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <map>
 #include <span>
 
 #include "commands/output_file.hpp"
@@ -227,11 +228,23 @@ void RunRecord::watch(Simulation& simulation) {
     }
   }
   for (const simulation::Event& event : simulation.events()) {
-    ++event_counts_[name_of(event.kind)];
+    ++event_counts_[static_cast<std::size_t>(event.kind)];
     const bool passes = event.kind == simulation::EventKind::kPuncture ||
                         event.kind == simulation::EventKind::kExit;
-    if (passes && punctures_.size() < kPuncturesMax) punctures_.push_back(to_json(event));
+    if (passes && punctures_.size() < kPuncturesMax) punctures_.push_back(event);
   }
+}
+
+void RunRecord::serialize(Archive& archive) {
+  // Given: scene, rate. Of one call: stress.
+  auto& [scene, rate, meter, stress, steps, steps_a_frame, steps_a_sample, event_counts, punctures,
+         peak_force, peak_tension, tension_over_time, residual_max, inverted_tets_max,
+         contacts_max] = *this;
+  archive(meter, steps, steps_a_frame, steps_a_sample, event_counts, punctures);
+  archive.fixed(peak_force);
+  archive.fixed(peak_tension);
+  archive.fixed(tension_over_time);
+  archive(residual_max, inverted_tets_max, contacts_max);
 }
 
 nlohmann::json RunRecord::summarise(const Simulation& sim) const {
@@ -243,8 +256,14 @@ nlohmann::json RunRecord::summarise(const Simulation& sim) const {
   summary["duration_s"] = sim.time_s();
   summary["vertices"] = sim.rest_positions_m().size();
   summary["tets"] = sim.tets().size();
-  summary["event_counts"] = event_counts_;
-  summary["punctures"] = punctures_;
+  std::map<std::string, std::uint64_t> counts;
+  for (std::size_t kind = 0; kind < event_counts_.size(); ++kind)
+    if (event_counts_[kind] > 0)
+      counts[name_of(static_cast<simulation::EventKind>(kind))] = event_counts_[kind];
+  summary["event_counts"] = counts;
+  nlohmann::json punctures = nlohmann::json::array();
+  for (const simulation::Event& event : punctures_) punctures.push_back(to_json(event));
+  summary["punctures"] = punctures;
   nlohmann::json tools = nlohmann::json::object();
   for (std::size_t i = 0; i < scene.tools.size(); ++i)
     tools[scene.tools[i].name] = {{"peak_force_n", peak_force_n_[i]}};

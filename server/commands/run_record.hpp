@@ -3,8 +3,8 @@
 // (docs/guide/what-a-run-leaves.md).
 #pragma once
 
+#include <array>
 #include <filesystem>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -29,6 +29,9 @@ class RunRecord {
   /// Takes in the step just made. Brings displacements up to date 60 times a second of its time.
   void watch(simulation::Simulation& simulation);
 
+  /// Archives the record: another one of the same scene goes on with it.
+  void serialize(Archive& archive);
+
   /// Writes final.vtk and summary.json into `folder`. Throws std::runtime_error naming the file.
   void write(const std::filesystem::path& folder, simulation::Simulation& simulation);
 
@@ -40,8 +43,8 @@ class RunRecord {
   simulation::QualityMeter meter_;
   simulation::StressField stress_;
   std::uint64_t steps_ = 0, steps_a_frame_ = 1, steps_a_sample_ = 1;
-  std::map<std::string, int> event_counts_;
-  nlohmann::json punctures_ = nlohmann::json::array();
+  std::array<std::uint64_t, simulation::kEventKinds> event_counts_{};  ///< by kind
+  std::vector<simulation::Event> punctures_;
   std::vector<double> peak_force_n_, peak_tension_n_;
   std::vector<std::vector<std::array<double, 2>>> tension_over_time_;  ///< [time_s, tension_n]
   double residual_max_ = 0.0;

@@ -12,6 +12,7 @@
 #include <filesystem>
 #include <iostream>
 #include <limits>
+#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -39,18 +40,23 @@ struct Options {
   std::vector<std::string> http_origins;
   double rate_hz = 0.0;
   double duration_s = 0.0;
-  std::string out;  ///< empty: no record
+  std::string out;          ///< empty: no record
+  std::string checkpoints;  ///< empty: none
+  std::size_t keep = 120;
+  endpoints::Server::Options::Resume resume = endpoints::Server::Options::Resume::kAfterCrash;
 };
 
-/// Keeps the record of what is served, on the simulation's thread. A reset begins a new one.
+/// Keeps the record of what is served, on the simulation's thread. A reset, a rewind and a restore
+/// begin a new one.
 class ServedRecord {
  public:
   ServedRecord(scene::Scene scene, double rate_hz, std::filesystem::path folder)
       : scene_(std::move(scene)), rate_hz_(rate_hz), folder_(std::move(folder)) {}
 
   void watch(simulation::Simulation& simulation, bool last) {
-    if (simulation.time_s() < time_s_) record_.reset();
-    time_s_ = simulation.time_s();
+    const std::uint64_t step = simulation.report().step;
+    if (step != step_ && step != step_ + 1) record_.reset();
+    step_ = step;
     if (!record_) record_.emplace(scene_, simulation, rate_hz_);
     if (!last) return record_->watch(simulation);
     try {
@@ -66,7 +72,7 @@ class ServedRecord {
   scene::Scene scene_;
   double rate_hz_;
   std::filesystem::path folder_;
-  double time_s_ = 0.0;
+  std::uint64_t step_ = 0;
   std::optional<RunRecord> record_;
   std::string failure_;
 };
@@ -150,6 +156,9 @@ int serve(const Options& options) {
   server_options.session.domain = options.domain;
   server_options.session.session = options.session;
   server_options.rate_hz = rate_hz;
+  if (!options.checkpoints.empty())
+    server_options.checkpoints = {options.checkpoints, options.keep};
+  server_options.resume = options.resume;
   std::optional<ServedRecord> record;
   if (!options.out.empty()) {
     std::filesystem::create_directories(options.out);
@@ -161,6 +170,7 @@ int serve(const Options& options) {
   endpoints::Server server(std::move(scene), std::move(server_options));
   if (!server.realtime().note.empty()) log->warn("{}", server.realtime().note);
   if (const std::string notes = server.notes(); !notes.empty()) log->warn("{}", notes);
+  if (!server.resumed().empty()) log->info("resumed {} of the simulation", server.resumed());
   log->info(
       "serving scene \"{}\" at {} Hz in domain {}, {}; Ctrl-C ends", name, rate_hz, options.domain,
       options.session.empty() ? "the default session" : "session \"" + options.session + "\"");
@@ -258,11 +268,25 @@ void add_serve_command(CLI::App& app, int& exit_code) {
       ->check(suture::within(0.0001, 1e8, "s"));
   command->add_option("--out", options->out,
                       "Folder for final.vtk and summary.json, written when the server ends");
+  command->add_option("--checkpoints", options->checkpoints,
+                      "Folder for a checkpoint every second, and those taken by command");
+  command->add_option("--keep", options->keep, "How many of the every-second checkpoints stay")
+      ->check(CLI::Range(2, 100000))
+      ->capture_default_str();
+  using Resume = endpoints::Server::Options::Resume;
+  command
+      ->add_option("--resume", options->resume,
+                   "Go on from the newest checkpoint: crash (unless the last server ended as "
+                   "asked), always or never")
+      ->transform(CLI::CheckedTransformer(std::map<std::string, Resume>{
+          {"crash", Resume::kAfterCrash}, {"always", Resume::kAlways}, {"never", Resume::kNever}}))
+      ->default_str("crash");
   command->footer(
       "Examples:\n"
       "  sutured serve server/scenes/anastomosis/scene.toml\n"
       "  sutured serve scene.toml --session class-a --domain 4 --duration 60\n"
       "  sutured serve scene.toml --http 8080\n"
+      "  sutured serve scene.toml --checkpoints /var/lib/sutured/class-a\n"
       "Exit codes: 0 ended as asked, 1 the scene or the simulation failed, 2 command line,\n"
       "  3 another server has this session, 4 network or permission.");
   command->callback([options, &exit_code] { exit_code = serve_and_tell(*options); });

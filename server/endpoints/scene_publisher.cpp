@@ -25,6 +25,9 @@ constexpr std::int64_t kFaultPeriod_ns = 1'000'000'000;
 constexpr int kCoursePoints = 33;
 constexpr std::size_t kProfilesMax = 64;
 
+constexpr const char* kNoCheckpoints =
+    "this server keeps no checkpoints; start it with --checkpoints DIR";
+
 constexpr std::array<std::string_view, haptics::kFaultCount> kFaultTexts{
     "no pose in time: the force fades",
     "a pose that is not finite: the force fades",
@@ -75,6 +78,8 @@ ScenePublisher::ScenePublisher(const suture::Participant& control, const suture:
   publish_topology();
   publish_status(state(), "");
   notice(suture_v1_EVENT_STARTED, "scene " + served_.scene.name);
+  if (!served_.resumed.empty())
+    notice(suture_v1_EVENT_REWOUND, "resumed " + served_.resumed + " of the simulation");
   thread_ = std::thread([this] { run(); });
 }
 
@@ -106,7 +111,8 @@ void ScenePublisher::run() noexcept {
     served_.forces.end_leases_of_the_departed();
     obey();
     heed_devices();
-    finish_resets();
+    finish_changes();
+    finish_checkpoints();
     publish_events(now_ns);
     if (served_.loop.epoch() != topology_epoch_) publish_topology();
     show(now_ns);
@@ -374,77 +380,152 @@ void ScenePublisher::tell_channel(std::size_t tool, std::int64_t now_ns) {
 
 // ------------------------------------------------------------------ commands
 
+void ScenePublisher::answer(suture::v1::CommandReply& reply, suture_v1_CommandResult result,
+                            const std::string& text) {
+  reply.result = result;
+  suture::set_text(reply.text, text);
+  reply.epoch = served_.loop.epoch();
+  reply.stamp_ns = suture::wall_clock_ns();
+  replies_.write(reply);
+}
+
 void ScenePublisher::obey() {
   suture::v1::Command command;
   while (served_.forces.next_command(command)) {
-    suture::v1::CommandReply reply = execute(command);
+    suture::v1::CommandReply reply{};
     std::copy(std::begin(command.requester), std::end(command.requester), reply.requester);
     reply.request = command.request;
     reply.kind = command.kind;
-    if (command.kind == suture_v1_COMMAND_RESET && reply.result == suture_v1_COMMAND_DONE) {
-      resets_.push_back({reply, served_.loop.epoch()});
-      served_.loop.reset();
-      continue;
+    switch (command.kind) {
+      case suture_v1_COMMAND_RESET:
+      case suture_v1_COMMAND_REWIND:
+      case suture_v1_COMMAND_RESTORE:
+        change_world(command, reply);
+        break;
+      case suture_v1_COMMAND_CHECKPOINT:
+        keep_checkpoint(command, reply);
+        break;
+      default:
+        execute(command, reply);
     }
-    reply.epoch = served_.loop.epoch();
-    reply.stamp_ns = suture::wall_clock_ns();
-    replies_.write(reply);
   }
 }
 
-suture::v1::CommandReply ScenePublisher::execute(const suture::v1::Command& command) {
-  suture::v1::CommandReply reply{};
-  reply.result = suture_v1_COMMAND_DONE;
-  const auto refuse = [&](suture_v1_CommandResult result, const std::string& text) {
-    reply.result = result;
-    suture::set_text(reply.text, text);
-    return reply;
+/// Asks the loop for another state; `finish_changes` answers when it has it.
+void ScenePublisher::change_world(const suture::v1::Command& command,
+                                  suture::v1::CommandReply& reply) {
+  const auto refuse = [&](const std::string& text) {
+    answer(reply, suture_v1_COMMAND_REFUSED, text);
   };
+  if (const std::string failure = served_.loop.failure(); !failure.empty())
+    return refuse("the simulation has ended: " + failure);
+  const std::uint64_t epoch = served_.loop.epoch();
+  if (command.kind == suture_v1_COMMAND_RESET) {
+    changes_.push_back({reply, epoch, suture_v1_EVENT_RESET, ""});
+    served_.loop.reset();
+    return;
+  }
+  if (served_.keeper == nullptr) return refuse(kNoCheckpoints);
+  if (!changes_.empty()) return refuse("another change of the world is under way; ask again");
+  try {
+    const bool rewind = command.kind == suture_v1_COMMAND_REWIND;
+    if (rewind && !(command.seconds > 0.0 && std::isfinite(command.seconds)))
+      return refuse("a rewind goes back by more than 0 seconds");
+    checkpoints::CheckpointKeeper::Change change =
+        rewind ? served_.keeper->back_by(command.seconds)
+               : served_.keeper->to(std::string(suture::text_of(command.checkpoint)));
+    for (const std::string& line : change.refused) notice(suture_v1_EVENT_NOTICE, line);
+    changes_.push_back({reply, epoch, suture_v1_EVENT_REWOUND, change.text});
+    served_.loop.replace_state(std::move(change.apply));
+  } catch (const checkpoints::CheckpointError& error) {
+    refuse(error.what());
+  }
+}
+
+void ScenePublisher::finish_changes() {
+  std::erase_if(changes_, [this](PendingChange& pending) {
+    if (served_.loop.epoch() == pending.epoch_before) return false;
+    const bool replaced = pending.event == suture_v1_EVENT_REWOUND;
+    const std::string failure = replaced ? served_.loop.replace_failure() : "";
+    if (!failure.empty()) {
+      notice(suture_v1_EVENT_RESET, "a checkpoint made no sense: " + failure);
+      answer(pending.reply, suture_v1_COMMAND_REFUSED,
+             "the checkpoint makes no sense (" + failure + "): the scene was reset");
+      return true;
+    }
+    notice(pending.event, pending.text);
+    answer(pending.reply, suture_v1_COMMAND_DONE, pending.text);
+    return true;
+  });
+}
+
+/// Asks for a checkpoint; `finish_checkpoints` answers when it is on disk.
+void ScenePublisher::keep_checkpoint(const suture::v1::Command& command,
+                                     suture::v1::CommandReply& reply) {
+  if (served_.keeper == nullptr) return answer(reply, suture_v1_COMMAND_REFUSED, kNoCheckpoints);
+  const std::string name(suture::text_of(command.checkpoint));
+  try {
+    served_.keeper->ask(name);
+    checkpoints_asked_.emplace_back(name, reply);
+  } catch (const checkpoints::CheckpointError& error) {
+    answer(reply, suture_v1_COMMAND_REFUSED, error.what());
+  }
+}
+
+void ScenePublisher::finish_checkpoints() {
+  if (served_.keeper == nullptr) return;
+  while (const auto word = served_.keeper->next_word()) {
+    if (word->name.empty()) {
+      notice(suture_v1_EVENT_NOTICE, word->text);
+      continue;
+    }
+    if (word->good) {
+      suture::v1::Event event{};
+      event.kind = suture_v1_EVENT_CHECKPOINT;
+      event.simulation_time_s = time_s_;
+      suture::set_text(event.object, word->name);
+      suture::set_text(event.text, word->text);
+      publish_event(event);
+    }
+    const auto asked = std::find_if(checkpoints_asked_.begin(), checkpoints_asked_.end(),
+                                    [&](const auto& a) { return a.first == word->name; });
+    if (asked == checkpoints_asked_.end()) continue;
+    answer(asked->second, word->good ? suture_v1_COMMAND_DONE : suture_v1_COMMAND_REFUSED,
+           word->text);
+    checkpoints_asked_.erase(asked);
+  }
+}
+
+void ScenePublisher::execute(const suture::v1::Command& command, suture::v1::CommandReply& reply) {
   const std::string who(suture::text_of(command.requester_name));
   switch (command.kind) {
     case suture_v1_COMMAND_PAUSE:
       served_.loop.pause(true);
       notice(suture_v1_EVENT_PAUSED, who);
-      return reply;
+      return answer(reply, suture_v1_COMMAND_DONE, "");
     case suture_v1_COMMAND_RESUME:
       stopped_ = false;  // ForceService has let the forces go on
       served_.loop.pause(false);
       notice(suture_v1_EVENT_RESUMED, who);
-      return reply;
-    case suture_v1_COMMAND_RESET:
-      if (!served_.loop.failure().empty())
-        return refuse(suture_v1_COMMAND_REFUSED,
-                      "the simulation has ended: " + served_.loop.failure());
-      return reply;
+      return answer(reply, suture_v1_COMMAND_DONE, "");
     case suture_v1_COMMAND_STOP:
       stopped_ = true;  // and it has stopped them, as the command came
-      return reply;
+      return answer(reply, suture_v1_COMMAND_DONE, "");
     case suture_v1_COMMAND_RELEASE_TOOL: {
       const std::string_view name = suture::text_of(command.tool);
       const auto found = std::find_if(served_.tools.begin(), served_.tools.end(),
                                       [&](const ServedTool& tool) { return tool.name == name; });
       if (found == served_.tools.end())
-        return refuse(suture_v1_COMMAND_REFUSED,
+        return answer(reply, suture_v1_COMMAND_REFUSED,
                       "the scene has no tool \"" + std::string(name) + "\"");
       if (found->channel->lease() == 0)
-        return refuse(suture_v1_COMMAND_REFUSED, "nobody holds that tool");
+        return answer(reply, suture_v1_COMMAND_REFUSED, "nobody holds that tool");
       found->channel->end_lease(found->channel->lease());
-      return reply;
+      return answer(reply, suture_v1_COMMAND_DONE, "");
     }
+    default:
+      answer(reply, suture_v1_COMMAND_NOT_SUPPORTED, "this server does not know that command");
   }
-  return refuse(suture_v1_COMMAND_NOT_SUPPORTED, "this server does not know that command");
-}
-
-void ScenePublisher::finish_resets() {
-  std::erase_if(resets_, [this](PendingReset& pending) {
-    const std::uint64_t epoch = served_.loop.epoch();
-    if (epoch == pending.epoch_before) return false;
-    notice(suture_v1_EVENT_RESET, "");
-    pending.reply.epoch = epoch;
-    pending.reply.stamp_ns = suture::wall_clock_ns();
-    replies_.write(pending.reply);
-    return true;
-  });
 }
 
 // ------------------------------------------------------------------ devices

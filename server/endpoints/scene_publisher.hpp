@@ -11,6 +11,7 @@
 #include <thread>
 #include <vector>
 
+#include "checkpoints/checkpoint_keeper.hpp"
 #include "endpoints/force_service.hpp"
 #include "endpoints/model_publisher.hpp"
 #include "haptics/realtime.hpp"
@@ -31,6 +32,8 @@ struct Served {
   const haptics::RealtimeReport& realtime;
   double rate_hz = 0.0;
   std::string session, version;
+  checkpoints::CheckpointKeeper* keeper = nullptr;  ///< null: there are no checkpoints
+  std::string resumed;                              ///< Server::resumed
 };
 
 /// Sends what viewers and people see, on one thread that nobody waits for: every 10 ms
@@ -63,9 +66,12 @@ class ScenePublisher {
     std::uint64_t epoch = 0;
     std::int64_t at_ns = 0;
   };
-  struct PendingReset {
+  /// A command that is done when the epoch changes, and what is then told of it.
+  struct PendingChange {
     suture::v1::CommandReply reply;
-    std::uint64_t epoch_before;
+    std::uint64_t epoch_before = 0;
+    suture_v1_EventKind event{};
+    std::string text;
   };
 
   void run() noexcept;
@@ -82,9 +88,14 @@ class ScenePublisher {
   void publish_event(suture::v1::Event& event);
   void tell_channel(std::size_t tool, std::int64_t now_ns);
   void obey();
-  suture::v1::CommandReply execute(const suture::v1::Command& command);
+  void answer(suture::v1::CommandReply& reply, suture_v1_CommandResult result,
+              const std::string& text);
+  void change_world(const suture::v1::Command& command, suture::v1::CommandReply& reply);
+  void keep_checkpoint(const suture::v1::Command& command, suture::v1::CommandReply& reply);
+  void finish_checkpoints();
+  void execute(const suture::v1::Command& command, suture::v1::CommandReply& reply);
   void heed_devices();
-  void finish_resets();
+  void finish_changes();
   void notice(suture_v1_EventKind kind, const std::string& text);
   suture_v1_ServerState state() const;
 
@@ -113,7 +124,8 @@ class ScenePublisher {
   std::vector<suture::v1::ContactPoint> contact_points_;
   std::vector<suture::v1::Bite> bites_;
   std::vector<ToldQuality> told_quality_;  // per thread
-  std::vector<PendingReset> resets_;
+  std::vector<PendingChange> changes_;
+  std::vector<std::pair<std::string, suture::v1::CommandReply>> checkpoints_asked_;  ///< by name
   simulation::StepReport report_;                 // of the last frame
   const haptics::DisplayFrame* shown_ = nullptr;  // the last frame; it stays until the next
   std::int64_t shown_ns_ = 0;

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "checkpoints/checkpoint_keeper.hpp"
 #include "endpoints/force_service.hpp"
 #include "endpoints/model_publisher.hpp"
 #include "endpoints/scene_publisher.hpp"
@@ -55,9 +56,27 @@ struct Server::State {
     if (models) models->stop();
     models.reset();
     loop.reset();
+    keeper.reset();
     forces.reset();
     mesh.reset();
     control.reset();
+  }
+
+  /// Begins where the last server was; says whether it does.
+  bool resume(simulation::Simulation& simulation, simulation::QualityMeter& quality) {
+    if (options.resume == Options::Resume::kNever) return false;
+    const auto change = keeper->resume(options.resume == Options::Resume::kAfterCrash);
+    if (!change) return false;
+    for (const std::string& line : change->refused) refused += line + '\n';
+    try {
+      change->apply(simulation, &quality);
+      resumed = change->text;
+      return true;
+    } catch (const ArchiveError& error) {
+      refused += "the last checkpoint makes no sense (" + std::string(error.what()) +
+                 "): the scene begins anew\n";
+      return false;
+    }
   }
 
   scene::Scene scene;
@@ -66,6 +85,8 @@ struct Server::State {
   std::chrono::steady_clock::time_point started = std::chrono::steady_clock::now();
 
   std::optional<suture::Participant> control, mesh;
+  std::optional<checkpoints::CheckpointKeeper> keeper;
+  std::string resumed, refused;
   std::optional<haptics::PoseBoard> board;
   std::vector<std::unique_ptr<haptics::ToolChannel>> channels;
   std::vector<ServedTool> tools;
@@ -103,13 +124,21 @@ Server::Server(scene::Scene scene, Options options)
   loop_options.models_published = [models = &*s.models] { models->notify(); };
   loop_options.quality.emplace(s.scene, simulation);
   loop_options.watch = s.options.watch;
+  if (s.options.checkpoints) {
+    s.keeper.emplace(checkpoints::CheckpointKeeper::Options{*s.options.checkpoints}, s.scene);
+    loop_options.keep = [keeper = &*s.keeper](auto& simulation_now, auto* quality,
+                                              std::int64_t now_ns) {
+      keeper->offer(simulation_now, quality, now_ns);
+    };
+    loop_options.resumed = s.resume(simulation, *loop_options.quality);
+  }
   s.loop.emplace(std::move(simulation), channels, std::move(loop_options));
   s.models->start(*s.loop);
   s.supervisor.emplace([forces = &*s.forces](std::int64_t now_ns) { forces->tick(now_ns); });
-  s.publisher.emplace(
-      *s.control, *s.mesh,
-      Served{s.scene, s.tools, *s.forces, *s.models, *s.loop, *s.supervisor, s.realtime,
-             s.options.rate_hz, s.options.session.session, SUTURED_VERSION});
+  s.publisher.emplace(*s.control, *s.mesh,
+                      Served{s.scene, s.tools, *s.forces, *s.models, *s.loop, *s.supervisor,
+                             s.realtime, s.options.rate_hz, s.options.session.session,
+                             SUTURED_VERSION, s.keeper ? &*s.keeper : nullptr, s.resumed});
 }
 
 Server::~Server() { stop("the server ends"); }
@@ -128,6 +157,9 @@ void Server::stop(const std::string& reason) noexcept {
   while (!silent() && suture::monotonic_ns() < end_ns)
     haptics::sleep_until(suture::monotonic_ns() + haptics::kMillisecond_ns);
   s.publisher->finish(reason);
+  const bool whole = s.loop->failure().empty();
+  s.loop->stop();
+  if (s.keeper && whole) s.keeper->note_ended();
   s.tear_down();
 }
 
@@ -146,8 +178,11 @@ std::string Server::summary() const {
   return text.str();
 }
 
+const std::string& Server::resumed() const { return state_->resumed; }
+
 std::string Server::notes() const {
-  std::string text;
+  std::string text = state_->refused;
+  if (!text.empty()) text.pop_back();
   for (std::size_t i = 0; i < state_->channels.size(); ++i) {
     const scene::Tool& tool = state_->scene.tools[i];
     const suture::ForceLimits limits = state_->channels[i]->limits();

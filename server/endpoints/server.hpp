@@ -3,8 +3,10 @@
 
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 
+#include "checkpoints/checkpoint_folder.hpp"
 #include "haptics/realtime.hpp"
 #include "protocol/participant.hpp"
 #include "scene/scene.hpp"
@@ -25,11 +27,15 @@ class Server {
     double rate_hz = 0.0;  ///< of the simulation; 0: the scene's
     /// haptics::SimulationLoop::Options::watch
     std::function<void(simulation::Simulation&, bool last)> watch;
+    /// Where checkpoints are kept; none: they are not, and commands that want them are refused.
+    std::optional<checkpoints::CheckpointFolder::Options> checkpoints;
+    enum class Resume { kAfterCrash, kAlways, kNever };
+    Resume resume = Resume::kAfterCrash;
   };
 
   /// Builds the simulation and starts serving. Throws suture::Error (kServerRunning where
   /// another server has this session; kBadInput, kNetwork, kPermissionDenied) and what
-  /// simulation::Simulation throws.
+  /// simulation::Simulation and checkpoints::CheckpointFolder throw.
   Server(scene::Scene scene, Options options);
   /// Stops as `stop` does.
   ~Server();
@@ -45,6 +51,8 @@ class Server {
   [[nodiscard]] const haptics::RealtimeReport& realtime() const;
   /// One line for people: steps, rate, overruns.
   [[nodiscard]] std::string summary() const;
+  /// Where the state came from that it began with; empty: from the scene.
+  [[nodiscard]] const std::string& resumed() const;
   /// What was changed of the scene's wishes, for the log; may be empty.
   [[nodiscard]] std::string notes() const;
 

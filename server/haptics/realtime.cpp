@@ -58,6 +58,10 @@ void go_before_ordinary_threads() noexcept {
   setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), -10);
 }
 
+void go_behind_ordinary_threads() noexcept {
+  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), 10);
+}
+
 void name_thread(const char* name) noexcept { pthread_setname_np(pthread_self(), name); }
 
 }  // namespace sutured::haptics

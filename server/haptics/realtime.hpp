@@ -27,6 +27,9 @@ bool enter_realtime(int priority) noexcept;
 /// the simulation, which may use a whole core and so must not be SCHED_FIFO.
 void go_before_ordinary_threads() noexcept;
 
+/// Lets the calling thread go behind ordinary ones (nice 10): for what may come late.
+void go_behind_ordinary_threads() noexcept;
+
 /// Names the calling thread, for debuggers and `top -H` (15 characters).
 void name_thread(const char* name) noexcept;
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <exception>
+#include <limits>
 #include <utility>
 
 #include "fem/elements.hpp"
@@ -30,7 +31,8 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
       display_period_ns_(std::llround(1e9 / options_.display_rate_hz)),
       inputs_(channels.size()),
       targets_(channels.size()),
-      changed_(channels.size()) {
+      changed_(channels.size()),
+      places_(channels.size()) {
   simulation_.compute_stress(stress_);  // so that no frame allocates
   for (std::size_t i = 0; i < channels_.size(); ++i)
     models_.push_back(std::make_unique<suture::Snapshot<PublishedModel>>());
@@ -51,6 +53,7 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
       quality.bites.reserve(simulation::QualityMeter::kBitesMax);
   });
   begin_epoch();
+  if (options_.resumed) keep_tools();
   thread_ = std::thread([this] { run(); });
 }
 
@@ -81,6 +84,64 @@ void SimulationLoop::begin_epoch() {
   std::fill(changed_.begin(), changed_.end(), 0);
 }
 
+void SimulationLoop::replace_state(Replace replace) {
+  const std::lock_guard lock(replace_mutex_);
+  replace_ = std::move(replace);
+  replace_asked_.store(true, std::memory_order_relaxed);
+}
+
+std::string SimulationLoop::replace_failure() const {
+  const std::lock_guard lock(replace_mutex_);
+  return replace_failure_;
+}
+
+/// Resets or replaces the state where somebody asked for it; says whether it did.
+bool SimulationLoop::change_world() {
+  bool changed = false;
+  if (const auto asked = resets_asked_.load(std::memory_order_relaxed); asked != resets_done_) {
+    resets_done_ = asked;
+    simulation_.reset();
+    if (options_.quality) options_.quality->reset();
+    std::fill(places_.begin(), places_.end(), std::nullopt);
+    changed = true;
+  }
+  if (replace_asked_.load(std::memory_order_relaxed)) {
+    // Whoever asks holds the lock for a moment; the next beat will do.
+    const std::unique_lock lock(replace_mutex_, std::try_to_lock);
+    if (lock && replace_) {
+      const Replace replace = std::exchange(replace_, nullptr);
+      replace_asked_.store(false, std::memory_order_relaxed);
+      replace_failure_.clear();
+      try {
+        replace(simulation_, options_.quality ? &*options_.quality : nullptr);
+      } catch (const std::exception& error) {
+        replace_failure_ = error.what();
+      }
+      keep_tools();
+      changed = true;
+    }
+  }
+  if (!changed) return false;
+  begin_epoch();
+  shown_ns_ = measured_ns_ = 0;
+  return true;
+}
+
+/// Lets the tools stay where the state has them.
+void SimulationLoop::keep_tools() {
+  placed_ns_ = suture::monotonic_ns();
+  for (std::size_t i = 0; i < places_.size(); ++i) {
+    const simulation::ToolInput& input = simulation_.responses()[i].reference;
+    places_[i].reset();
+    if (!input.present) continue;
+    ToolPlace& place = places_[i].emplace();
+    const Eigen::Vector4d& q = input.orientation.coeffs();
+    std::copy_n(input.position_m.data(), 3, place.pose.position_m.begin());
+    std::copy_n(q.data(), 4, place.pose.orientation_xyzw.begin());
+    place.jaw = input.jaw;
+  }
+}
+
 void SimulationLoop::run() noexcept {
   name_thread("simulation");
   go_before_ordinary_threads();
@@ -89,21 +150,25 @@ void SimulationLoop::run() noexcept {
   try {
     while (!stop_.load(std::memory_order_relaxed)) {
       sleep_until(due_ns);
-      if (const auto asked = resets_asked_.load(std::memory_order_relaxed); asked != resets_done_) {
-        resets_done_ = asked;
-        simulation_.reset();
-        begin_epoch();
-        shown_ns_ = measured_ns_ = 0;
-        if (options_.quality) options_.quality->reset();
+      const bool changed = change_world();
+      const std::int64_t now_ns = suture::monotonic_ns();
+      if (paused()) {
+        placed_ns_ = now_ns;
+        if (changed) publish_frame(now_ns);
       }
       if (!paused())
-        step(suture::monotonic_ns(),
-             static_cast<double>(beats) * static_cast<double>(period_ns_) * 1e-9);
+        step(now_ns, static_cast<double>(beats) * static_cast<double>(period_ns_) * 1e-9);
+      if (options_.keep)
+        options_.keep(simulation_, options_.quality ? &*options_.quality : nullptr,
+                      suture::monotonic_ns());
       const NextTick next = next_tick(due_ns, suture::monotonic_ns(), period_ns_);
       overruns_.fetch_add(next.missed, std::memory_order_relaxed);
       due_ns = next.at_ns;
       beats = next.missed + 1;
     }
+    if (options_.keep)
+      options_.keep(simulation_, options_.quality ? &*options_.quality : nullptr,
+                    std::numeric_limits<std::int64_t>::max());
     if (options_.watch) options_.watch(simulation_, true);
   } catch (const std::exception& error) {
     failure_ = error.what();
@@ -111,17 +176,33 @@ void SimulationLoop::run() noexcept {
   }
 }
 
-void SimulationLoop::step(std::int64_t now_ns, double dt_s) {
-  for (std::size_t i = 0; i < channels_.size(); ++i) {
-    const ToolTarget& target = targets_[i] = channels_[i]->target();
-    simulation::ToolInput& input = inputs_[i];
-    input.present = target.present;
-    const auto& p = target.pose.position_m;
-    const auto& q = target.pose.orientation_xyzw;
-    input.position_m = {p[0], p[1], p[2]};
-    input.orientation = Eigen::Quaterniond(q[3], q[0], q[1], q[2]).normalized();
-    input.jaw = target.jaw;
+void SimulationLoop::take_input(std::size_t tool, std::int64_t now_ns) {
+  ToolTarget& target = targets_[tool] = channels_[tool]->target();
+  std::optional<ToolPlace>& place = places_[tool];
+  bool lets_go = false;
+  if (place) {
+    const bool joined = target.present && target.epoch == epoch();
+    if (!joined && now_ns - placed_ns_ < kStay_ns) {
+      target.present = true;
+      target.pose = place->pose;
+      target.jaw = place->jaw;
+    } else {
+      const auto &a = place->pose.position_m, &b = target.pose.position_m;
+      lets_go = joined && std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]) > kJoin_m;
+      place.reset();
+    }
   }
+  simulation::ToolInput& input = inputs_[tool];
+  input.present = target.present && !lets_go;
+  const auto& p = target.pose.position_m;
+  const auto& q = target.pose.orientation_xyzw;
+  input.position_m = {p[0], p[1], p[2]};
+  input.orientation = Eigen::Quaterniond(q[3], q[0], q[1], q[2]).normalized();
+  input.jaw = target.jaw;
+}
+
+void SimulationLoop::step(std::int64_t now_ns, double dt_s) {
+  for (std::size_t i = 0; i < channels_.size(); ++i) take_input(i, now_ns);
   simulation_.step(inputs_, dt_s);
   steps_.fetch_add(1, std::memory_order_relaxed);
   publish_models(now_ns);
@@ -157,14 +238,27 @@ void SimulationLoop::publish_models(std::int64_t taken_ns) {
     if (responses[i].world_changed) changed_[i] = model.sequence;
     model.changed_sequence = changed_[i];
     fill_model(responses[i], model);
+    leave_out_placed(model);
     published.time_s = simulation_.time_s();
     published.pose_sequence = target.pose_sequence;
     published.writer = target.writer;
-    published.engaged = target.present;
+    published.engaged = target.present && !places_[i];
     published.mapping = target.mapping;
-    channels_[i]->publish_model(model, taken_ns, suture::monotonic_ns());
+    channels_[i]->publish_model(model, taken_ns, suture::monotonic_ns(), places_[i]);
     models_[i]->publish();
   }
+}
+
+/// Takes the couplings to tools that wait for their hands out: such a tool does not move, and where
+/// its hand was last has nothing to do with it.
+void SimulationLoop::leave_out_placed(suture::HapticModel& model) const {
+  int kept = 0;
+  for (int k = 0; k < model.other_count; ++k) {
+    if (places_[static_cast<std::size_t>(model.others[k].tool)]) continue;
+    if (kept != k) model.others[kept] = model.others[k];
+    ++kept;
+  }
+  model.other_count = kept;
 }
 
 void SimulationLoop::publish_events() {

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <span>
 #include <string>
@@ -78,7 +79,16 @@ class SimulationLoop {
     /// Called on the simulation's thread after each step, and once more, with `last`, when the
     /// loop ends: for records. It may take the time between two steps.
     std::function<void(simulation::Simulation&, bool last)> watch;
+    /// Called on the simulation's thread after each step, and at each beat while it stands still:
+    /// for copies of the state. Must not wait.
+    std::function<void(simulation::Simulation&, simulation::QualityMeter*, std::int64_t now_ns)>
+        keep;
+    /// The simulation comes with a past: its tools stay where they are until their hands come.
+    bool resumed = false;
   };
+  /// Puts another state into the simulation and its meter. Where it throws, the simulation must be
+  /// as after a reset.
+  using Replace = std::function<void(simulation::Simulation&, simulation::QualityMeter*)>;
 
   /// Starts stepping. `channels`: one per tool of the scene, in order; they outlive it.
   SimulationLoop(simulation::Simulation simulation, std::span<ToolChannel* const> channels,
@@ -94,6 +104,17 @@ class SimulationLoop {
   [[nodiscard]] bool paused() const noexcept { return paused_.load(std::memory_order_relaxed); }
   /// Goes back to the start before the next step; `epoch` changes when that is done.
   void reset() noexcept { resets_asked_.fetch_add(1, std::memory_order_relaxed); }
+  /// Calls `replace` before the next step, and begins an epoch: what is felt goes to zero and comes
+  /// back by a ramp. A tool that the new state has somewhere stays there, with what it holds, until
+  /// its device has engaged from there, for kStay_ns at most. One that a device moves in the world
+  /// itself, and that is then farther off than kJoin_m, lets go. The last one that was given before
+  /// a step counts.
+  void replace_state(Replace replace);
+  /// Returns why the last `replace` failed; empty where it did not. Holds from the new epoch on.
+  [[nodiscard]] std::string replace_failure() const;
+  static constexpr std::int64_t kStay_ns = 10'000'000'000;
+  static constexpr double kJoin_m = 5e-3;
+
   [[nodiscard]] std::uint64_t epoch() const noexcept {
     return epoch_.load(std::memory_order_acquire);
   }
@@ -138,6 +159,10 @@ class SimulationLoop {
  private:
   void run() noexcept;
   void begin_epoch();
+  bool change_world();
+  void keep_tools();
+  void take_input(std::size_t tool, std::int64_t now_ns);
+  void leave_out_placed(suture::HapticModel& model) const;
   void step(std::int64_t now_ns, double dt_s);
   void publish_models(std::int64_t taken_ns);
   void publish_events();
@@ -151,6 +176,8 @@ class SimulationLoop {
   std::vector<simulation::ToolInput> inputs_;
   std::vector<ToolTarget> targets_;     // of the present step
   std::vector<std::uint64_t> changed_;  // step in which the world of each tool changed last
+  std::vector<std::optional<ToolPlace>> places_;  // of tools that wait for their hands
+  std::int64_t placed_ns_ = 0;
   std::vector<std::unique_ptr<suture::Snapshot<PublishedModel>>> models_;
   suture::Snapshot<DisplayFrame> frames_;
   BoundedQueue<LoopEvent, 1024> events_;
@@ -161,7 +188,10 @@ class SimulationLoop {
   PeriodLatency step_times_;
   std::array<std::atomic<std::int64_t>, kStages> stage_ns_{};
   std::atomic<std::uint64_t> epoch_{0}, steps_{0}, overruns_{0}, resets_asked_{0};
-  std::atomic<bool> paused_{false}, stop_{false}, failed_{false};
+  std::atomic<bool> paused_{false}, stop_{false}, failed_{false}, replace_asked_{false};
+  mutable std::mutex replace_mutex_;  // of the next two
+  Replace replace_;
+  std::string replace_failure_;
   std::string failure_;  // written before failed_ is set
   std::thread thread_;
 };

@@ -12,6 +12,7 @@ namespace sutured::haptics {
 namespace {
 
 // A ramp ends before the promised 50 ms, so that a late tick does not break it.
+constexpr double kHalfClosed = 0.5;
 constexpr std::int64_t kZeroAfterStale_ns = 30 * kMillisecond_ns;
 // A mouse or a browser sends 60 to 125 poses a second, not evenly: zero by 150 ms.
 constexpr std::int64_t kPointerStaleAfter_ns = 100 * kMillisecond_ns;
@@ -204,17 +205,19 @@ std::optional<ForceSample> ToolChannel::supervise(std::int64_t now_ns) noexcept 
 // ------------------------------------------------------------------ simulation, others
 
 void ToolChannel::publish_model(const suture::HapticModel& model, std::int64_t taken_ns,
-                                std::int64_t now_ns) noexcept {
+                                std::int64_t now_ns,
+                                const std::optional<ToolPlace>& place) noexcept {
   if (!finite(model)) {
     count(counters_.faults[static_cast<unsigned>(Fault::kModelNotFinite)]);
     return;
   }
-  StampedModel& place = models_.back();
-  place.model = model;
+  StampedModel& to = models_.back();
+  to.model = model;
   const double scale = targets_.front().frame == Frame::kDevice ? hand_over_tool_stiffness_ : 1.0;
-  suture::couple_model(place.model, max_stiffness_n_per_m() / scale);
-  place.taken_ns = taken_ns;
-  place.published_ns = now_ns;
+  suture::couple_model(to.model, max_stiffness_n_per_m() / scale);
+  to.taken_ns = taken_ns;
+  to.published_ns = now_ns;
+  to.place = place;
   models_.publish();
 }
 
@@ -312,12 +315,13 @@ ForceSample ToolChannel::serve(const PoseSample& sample, std::int64_t now_ns) no
     // Another hand: nothing of what the last one felt belongs to it.
     writer_ = sample.writer;
     stage_ = Stage::kSettling;
-    has_previous_ = clutched_ = false;
+    has_previous_ = clutched_ = jaw_waits_ = false;
     good_since_ns_ = now_ns;
     latched_ = 0;
     last_ = {};
     gain_.clear();
     workspace_.reset();
+    stay_where_placed();
   }
   supervised_ = false;
   served_sequence_ = sample.sequence;
@@ -360,13 +364,24 @@ void ToolChannel::accept(const PoseSample& sample, std::int64_t now_ns) noexcept
     good_since_ns_ = now_ns;
   }
   pose_ = sample.frame == Frame::kDevice ? workspace_.to_world(sample.pose) : sample.pose;
-  jaw_ = std::clamp(sample.jaw, 0.0, 1.0);
+  const double jaw = std::clamp(sample.jaw, 0.0, 1.0);
+  jaw_waits_ = jaw_waits_ && (jaw < kHalfClosed) != (jaw_ < kHalfClosed);
+  if (!jaw_waits_) jaw_ = jaw;
   publish_target();
+}
+
+// Where the world was replaced, and the hand has not come yet.
+void ToolChannel::stay_where_placed() noexcept {
+  const std::optional<ToolPlace>& place = models_.front().place;
+  if (!place) return;
+  pose_ = place->pose;
+  jaw_ = place->jaw;
+  clutched_ = jaw_waits_ = true;
 }
 
 void ToolChannel::publish_target() noexcept {
   targets_.publish(
-      {stage_ != Stage::kIdle, pose_, jaw_, served_sequence_, writer_, frame_, workspace_});
+      {stage_ != Stage::kIdle, pose_, jaw_, served_sequence_, writer_, frame_, workspace_, epoch_});
   if (board_ != nullptr) board_->publish(tool_, pose_);
 }
 
@@ -445,8 +460,10 @@ suture::Wrench ToolChannel::model_wrench(std::int64_t now_ns) noexcept {
   models_.update();
   const suture::HapticModel& model = models_.front().model;
   if (has_model_ && model.epoch != epoch_) begin_fading(now_ns);  // the world was reset
+  const bool other_world = model.epoch != epoch_;
   epoch_ = model.epoch;
   has_model_ = true;
+  if (other_world) stay_where_placed();
   if (!renders) return {};
   const suture::Wrench next = evaluate_model();
   const std::int64_t period_ns = std::max<std::int64_t>(model.period_ns, kMillisecond_ns);

@@ -152,6 +152,13 @@ struct ToolTarget {
   std::uint64_t writer = 0;
   Frame frame = Frame::kDevice;  ///< of the poses; in the world nothing is scaled
   Workspace mapping;             ///< in force
+  std::uint64_t epoch = 0;       ///< of the model that the hand had when it moved the tool there
+};
+
+/// Where a tool stays until its hand comes: the world was replaced by one in which it is there.
+struct ToolPlace {
+  suture::Pose pose;  ///< world
+  double jaw = 0.0;
 };
 
 /// How a tool stands, for everyone who only looks.
@@ -227,8 +234,12 @@ class ToolChannel {
 
   /// Makes `model`, stepped from the targets that `target` gave at `taken_ns`, the one in
   /// force. One that is not finite is counted and refused.
-  void publish_model(const suture::HapticModel& model, std::int64_t taken_ns,
-                     std::int64_t now_ns) noexcept;
+  ///
+  /// With `place`, the first model of an epoch puts the tool there: as after a clutch the device
+  /// engages with an offset, at zero force, and its jaw counts once it is as far closed. A device
+  /// whose poses are in the world has no offset: its tool jumps to the hand.
+  void publish_model(const suture::HapticModel& model, std::int64_t taken_ns, std::int64_t now_ns,
+                     const std::optional<ToolPlace>& place = std::nullopt) noexcept;
   /// Returns the newest target.
   const ToolTarget& target() noexcept;
   /// Returns the newest report.
@@ -279,6 +290,7 @@ class ToolChannel {
     suture::HapticModel model;
     std::int64_t taken_ns = 0;
     std::int64_t published_ns = 0;
+    std::optional<ToolPlace> place;
   };
 
   bool try_hold() noexcept { return !held_.exchange(true, std::memory_order_seq_cst); }
@@ -294,6 +306,7 @@ class ToolChannel {
   std::optional<ForceSample> serve_pending(std::int64_t now_ns) noexcept;
   std::optional<Fault> fault_of(const PoseSample& sample, std::int64_t now_ns) const noexcept;
   void accept(const PoseSample& sample, std::int64_t now_ns) noexcept;
+  void stay_where_placed() noexcept;
   void begin_fading(std::int64_t now_ns) noexcept;
   void leave_or_stay(std::int64_t now_ns) noexcept;
   ForceSample render(std::int64_t now_ns, bool from_supervisor) noexcept;
@@ -365,6 +378,7 @@ class ToolChannel {
   double jaw_ = 0.0;
   bool has_previous_ = false;  // device_pose_ and good_ns_ are of this engagement
   bool clutched_ = false;
+  bool jaw_waits_ = false;          // jaw_ is that of a place, until the hand's is on the same side
   bool supervised_ = false;         // the last tick was the supervisor's
   std::int64_t good_ns_ = 0;        // when the last good pose came
   std::int64_t good_since_ns_ = 0;  // when the run of good poses began

@@ -207,6 +207,20 @@ void QualityMeter::reset() {
   }
 }
 
+void QualityMeter::serialize(Archive& archive) {
+  // Given by the scene: needle_names … gaps_at_rest; `measure` fits the wounds' trees.
+  auto& [needle_names, tissue_names, needle_of_thread, tets, surfaces_at_rest, rest, wounds,
+         gaps_at_rest, gaps, needles, threads, scratch] = *this;
+  archive.fixed(gaps);
+  archive.fixed(needles);
+  archive.fixed(threads);
+}
+
+void QualityMeter::Needle::serialize(Archive& archive) {
+  auto& [curve_, seen_, tip, path, approach_peak, keeper_, handovers_, drops_, passages_] = *this;
+  archive(seen_, tip, path, approach_peak, keeper_, handovers_, drops_, passages_);
+}
+
 WoundGap QualityMeter::widest(std::span<const WoundGap> gaps) const {
   WoundGap widest;
   for (const WoundGap& gap : gaps)

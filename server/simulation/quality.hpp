@@ -124,6 +124,7 @@ class QualityMeter {
   void measure(const QualityView& view);
   /// Returns to the state after construction.
   void reset();
+  void serialize(Archive& archive);
 
   [[nodiscard]] std::span<const ThreadQuality> threads() const { return threads_; }
   /// Per wound of the scene: its gap at rest, and at the last `measure`.
@@ -154,6 +155,7 @@ class QualityMeter {
     int keeper = -1;  ///< tool that held it last, −1 before the first and after a drop
     std::uint32_t handovers = 0, drops = 0;
     std::vector<Passage> passages;
+    void serialize(Archive& archive);
   };
 
   void watch_needle(const QualityView& view, std::size_t needle);

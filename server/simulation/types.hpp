@@ -112,6 +112,8 @@ enum class EventKind : std::uint8_t {
               ///< `position_m` its centre, `force_n` their number
 };
 
+inline constexpr std::size_t kEventKinds = static_cast<std::size_t>(EventKind::kInverted) + 1;
+
 /// Something that happened in a step.
 struct Event {
   EventKind kind{};

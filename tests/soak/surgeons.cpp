@@ -27,7 +27,7 @@ using simulation::EventKind;
 using simulation::Simulation;
 using simulation::ToolInput;
 
-constexpr std::size_t kEventKinds = static_cast<std::size_t>(EventKind::kInverted) + 1;
+using simulation::kEventKinds;
 // A surgeon that has not ended by then never will: the slowest takes seconds.
 constexpr unsigned kHangs_s = 600;
 

@@ -62,6 +62,10 @@ const char* name_of(v1::EventKind kind) noexcept {
       return "overrun";
     case suture_v1_EVENT_NOTICE:
       return "notice";
+    case suture_v1_EVENT_CHECKPOINT:
+      return "checkpoint";
+    case suture_v1_EVENT_REWOUND:
+      return "rewound";
   }
   return "unknown";
 }
@@ -405,6 +409,12 @@ v1::CommandKind to_wire(CommandKind kind) noexcept {
       return suture_v1_COMMAND_STOP;
     case CommandKind::kReleaseTool:
       return suture_v1_COMMAND_RELEASE_TOOL;
+    case CommandKind::kCheckpoint:
+      return suture_v1_COMMAND_CHECKPOINT;
+    case CommandKind::kRewind:
+      return suture_v1_COMMAND_REWIND;
+    case CommandKind::kRestore:
+      return suture_v1_COMMAND_RESTORE;
   }
   return suture_v1_COMMAND_STOP;
 }

@@ -24,6 +24,12 @@ const char* name_of(CommandKind kind) noexcept {
       return "stop";
     case CommandKind::kReleaseTool:
       return "release";
+    case CommandKind::kCheckpoint:
+      return "checkpoint";
+    case CommandKind::kRewind:
+      return "rewind";
+    case CommandKind::kRestore:
+      return "restore";
   }
   return "unknown";
 }
@@ -85,7 +91,7 @@ Status Session::status() {
   return *state_->last;
 }
 
-std::string Session::command(CommandKind kind, const std::string& tool) {
+std::string Session::command(CommandKind kind, const CommandDetails& details) {
   State& state = *state_;
   const Clock::time_point end = Clock::now() + state.options.timeout;
   // Commands are not kept for late joiners: the server must hear this writer first, and be
@@ -103,9 +109,13 @@ std::string Session::command(CommandKind kind, const std::string& tool) {
   command.request = ++state.request;
   command.stamp_ns = wall_clock_ns();
   command.kind = to_wire(kind);
-  if (!set_text(command.tool, tool)) {
+  if (!set_text(command.tool, details.tool)) {
     throw Error(ErrorCode::kBadInput, "no tool has a name of more than 32 characters", "");
   }
+  if (!set_text(command.checkpoint, details.checkpoint)) {
+    throw Error(ErrorCode::kBadInput, "no checkpoint has a name of more than 32 characters", "");
+  }
+  command.seconds = details.seconds;
   set_text(command.requester_name, "suture");
   state.writer.write(command);
 

@@ -592,7 +592,8 @@ TEST_F(Serve, ObeysPauseResumeStopAndReset) {
                           suture_v1_EVENT_RESET})
     EXPECT_TRUE(saw_event(kind)) << kind;
   expect_within_limits(watcher_.all());
-  EXPECT_THROW(session.command(suture::CommandKind::kReleaseTool, "spoon"), suture::Error);
+  EXPECT_THROW(session.command(suture::CommandKind::kReleaseTool, {.tool = "spoon"}),
+               suture::Error);
 }
 
 TEST_F(Serve, ShowsThreadsContactsAndWhatAJawHolds) {

@@ -16,6 +16,16 @@ enum class CommandKind {
   kReset,
   kStop,         ///< zero force for all tools until kResume
   kReleaseTool,  ///< end the lease of one tool
+  kCheckpoint,   ///< keep the present state under a name
+  kRewind,       ///< go back by some simulated seconds
+  kRestore,      ///< go back to the state kept under a name
+};
+
+/// What some commands need to be told beside their kind.
+struct CommandDetails {
+  std::string tool;        ///< kReleaseTool
+  std::string checkpoint;  ///< kCheckpoint, kRestore: letters, digits, '-' and '_', 32 at most
+  double seconds = 0.0;    ///< kRewind
 };
 
 /// Talks to the server of a session. Threads: one at a time.
@@ -36,7 +46,7 @@ class __attribute__((visibility("default"))) Session {
 
   /// Sends a command and waits for the reply; returns the server's word on it. Throws
   /// Error kPermissionDenied where it refuses, and kNoServer where none replies in time.
-  std::string command(CommandKind kind, const std::string& tool = "");
+  std::string command(CommandKind kind, const CommandDetails& details = {});
 
  private:
   struct State;
