@@ -103,10 +103,11 @@ TEST(Checkpoint, AClosureGoesOnToTheBit) {
 
 /// Without the caches the state is smaller, and goes on up to rounding.
 TEST(Checkpoint, WithoutCachesForcesAreTheSameUpToRounding) {
-  testing::Hands hands(testing::hand_sewn_scene(4));
-  const auto& course = hands.thread().course_m;
-  hands.grasp(0, course.front());
-  hands.move_by(0, {0.0, 0.0, 3e-3}, 0.05);
+  testing::Hands hands(testing::block_scene());
+  hands.grasp(testing::kDriver, {0.0011, 0.0007, 0.0205});
+  hands.move_by(testing::kDriver, {0.0, 0.0, -0.004});
+  hands.move_by(testing::kDriver, {0.0005, 0.0, 0.0});
+  ASSERT_TRUE(hands.sim.needles()[0].tip_inside);
   ASSERT_GT(hands.force_n(0).norm(), 1e-3);
   const Bytes whole = saved(hands.sim), light = saved(hands.sim, Caches::kLeftOut);
   EXPECT_LT(4 * light.size(), whole.size());
