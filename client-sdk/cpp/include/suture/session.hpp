@@ -23,9 +23,9 @@ enum class CommandKind {
 
 /// What some commands need to be told beside their kind.
 struct CommandDetails {
-  std::string tool;        ///< kReleaseTool
-  std::string checkpoint;  ///< kCheckpoint, kRestore: letters, digits, '-' and '_', 32 at most
-  double seconds = 0.0;    ///< kRewind
+  std::string tool{};        ///< kReleaseTool
+  std::string checkpoint{};  ///< kCheckpoint, kRestore: letters, digits, '-' and '_', 32 at most
+  double seconds = 0.0;      ///< kRewind
 };
 
 /// Talks to the server of a session. Threads: one at a time.
