@@ -39,6 +39,13 @@ build: deps-build ## Build the release binaries
 	@cmake --preset release -DSUTURED_TESTS=OFF -DSUTURED_BENCH=OFF >/dev/null
 	@cmake --build --preset release
 
+# The page of the gateway, into build/viewer. Debian's Node.js serves where none is installed.
+.PHONY: viewer
+viewer: ## Build the web page that `sutured serve --http` shows
+	@command -v npm >/dev/null || { $(SUDO) apt-get update -qq && \
+	  DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq --no-install-recommends nodejs npm >/dev/null; }
+	@cd client-sdk/viewer && npm ci --no-audit --no-fund --silent && npm run --silent build
+
 RUN_DIR := out/run
 SCENE := server/scenes/anastomosis/scene.toml
 SURGEON := server/scenes/anastomosis/surgeon.csv
