@@ -462,8 +462,8 @@ void Compliance::serialize_slots(Archive& archive) {
     archive(columns);
     // G is symmetric: each block once, with the slot that comes first.
     for (int other = 0; other <= slot; ++other) {
-      std::uint8_t& known = known_[static_cast<std::size_t>(slot) * n +
-                                   static_cast<std::size_t>(other)];
+      std::uint8_t& known =
+          known_[static_cast<std::size_t>(slot) * n + static_cast<std::size_t>(other)];
       archive(known);
       known_[static_cast<std::size_t>(other) * n + static_cast<std::size_t>(slot)] = known;
       if (!known) continue;

@@ -62,8 +62,8 @@ TEST_P(RandomSurgeon, GoesOnToTheBitFromAnyStep) {
   constexpr std::size_t kSteps = 150;
   Recording recording;
   Simulation simulation(scene);
-  soak::Surgeon surgeon(
-      GetParam(), GetParam() % 2 == 0 ? soak::Temper::kSensible : soak::Temper::kWild, scene);
+  soak::Surgeon surgeon(GetParam(),
+                        GetParam() % 2 == 0 ? soak::Temper::kSensible : soak::Temper::kWild, scene);
   for (std::size_t step = 0; step < kSteps; ++step) {
     recording.inputs.push_back(surgeon.next(simulation, dt_s));
     play_step(simulation, recording, step, dt_s);
