@@ -46,8 +46,8 @@ struct ArchiveError : std::runtime_error {
 class Archive {
  public:
   /// What follows from the rest of the state up to rounding: columns of K⁻¹ that were walked, pairs
-  /// that were looked for. With it a simulation goes on to the bit; without it the state is smaller
-  /// by one or two orders of magnitude (docs/adr/0040).
+  /// that were looked for. With it a simulation goes on to the bit; without it the state is
+  /// smaller, the more so the larger the mesh (docs/adr/0040).
   enum class Caches : std::uint8_t { kLeftOut, kKept };
 
   /// Returns an archive that appends to `bytes`, which outlives it.

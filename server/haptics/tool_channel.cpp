@@ -449,22 +449,28 @@ suture::Wrench ToolChannel::evaluate_model() noexcept {
 // What the model gives at the pose in force, without a step where the model is new.
 suture::Wrench ToolChannel::model_wrench(std::int64_t now_ns) noexcept {
   const bool renders = stage_ == Stage::kRendering || stage_ == Stage::kFading;
-  if (!models_.pending()) {
-    if (!renders || !has_model_) return {};
-    return blend_.apply(evaluate_model(), now_ns);
-  }
+  if (stage_ != Stage::kFading) old_world_.reset();
+  const auto present = [&] {
+    if (!renders || !has_model_) return suture::Wrench{};
+    return old_world_ ? *old_world_ : blend_.apply(evaluate_model(), now_ns);
+  };
+  if (!models_.pending()) return present();
   // The old model is asked once more, before its place goes back to the writer.
-  const suture::Wrench shown =
-      renders && has_model_ ? blend_.apply(evaluate_model(), now_ns) : suture::Wrench{};
+  const suture::Wrench shown = present();
   const std::uint64_t before = models_.front().model.sequence;
   models_.update();
   const suture::HapticModel& model = models_.front().model;
-  if (has_model_ && model.epoch != epoch_) begin_fading(now_ns);  // the world was reset
   const bool other_world = model.epoch != epoch_;
+  if (has_model_ && other_world) {
+    // What was felt of the old one goes to zero as it was: the new one may push harder.
+    begin_fading(now_ns);
+    old_world_ = shown;
+  }
   epoch_ = model.epoch;
   has_model_ = true;
   if (other_world) stay_where_placed();
   if (!renders) return {};
+  if (old_world_) return *old_world_;
   const suture::Wrench next = evaluate_model();
   const std::int64_t period_ns = std::max<std::int64_t>(model.period_ns, kMillisecond_ns);
   blend_.swap(

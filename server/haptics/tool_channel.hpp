@@ -386,8 +386,9 @@ class ToolChannel {
   std::int64_t rendered_ns_ = 0;
   std::uint64_t epoch_ = 0;
   bool has_model_ = false;
-  std::uint32_t latched_ = 0;  // faults since the last recovery
-  std::uint32_t ongoing_ = 0;  // conditions that hold now
+  std::optional<suture::Wrench> old_world_;  // what fades, of a world that is gone
+  std::uint32_t latched_ = 0;                // faults since the last recovery
+  std::uint32_t ongoing_ = 0;                // conditions that hold now
   std::uint64_t sequence_ = 0;
   std::uint64_t last_fallbacks_ = 0;
   suture::Wrench last_;  // at the hand

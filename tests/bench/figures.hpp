@@ -57,6 +57,7 @@ template <typename Work>
 
 // Each measures its part of the budgets and adds its figures.
 void measure_step(Figures& figures);
+void measure_checkpoint(Figures& figures);
 void measure_closure(Figures& figures);
 void measure_tissue(Figures& figures);
 void measure_tick(Figures& figures);

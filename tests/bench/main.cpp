@@ -29,9 +29,9 @@ int main(int argc, char** argv) {
   std::vector<std::string> only;
   app.add_option("--out", out, "The file to write");
   app.add_option("--commit", commit, "What was built, for the record");
-  app.add_option(
-      "--only", only,
-      "Measure these alone: step, closure, tissue, tick, fidelity, wakeup, roundtrip, mesh");
+  app.add_option("--only", only,
+                 "Measure these alone: step, closure, checkpoint, tissue, tick, fidelity, wakeup, "
+                 "roundtrip, mesh");
   std::uint32_t domain = 0;
   std::string session;
   auto* echo = app.add_option("--echo", domain, "Be the bare echo in this DDS domain instead");
@@ -51,6 +51,7 @@ int main(int argc, char** argv) {
   const std::vector<std::pair<std::string, Measure>> parts = {
       {"step", sutured::bench::measure_step},
       {"closure", sutured::bench::measure_closure},
+      {"checkpoint", sutured::bench::measure_checkpoint},
       {"tissue", sutured::bench::measure_tissue},
       {"tick", sutured::bench::measure_tick},
       {"fidelity", sutured::bench::measure_fidelity},

@@ -56,6 +56,69 @@ TEST(RunCommand, TwiceGivesTheSameBytes) {
   }
 }
 
+/// Cut where the needle is in a wall, in a hand, and where the thread is in its bites; each time in
+/// another process.
+TEST(RunCommand, CutInPiecesAndJoinedGivesTheSameBytes) {
+  const std::array<std::vector<std::string>, 2> plays{
+      std::vector<std::string>{kScene, "--surgeon", kSurgeon, "--rate", "100"},
+      {SUTURED_SOURCE_DIR "/server/scenes/anastomosis/closure20.toml", "--duration", "0.6"}};
+  const std::array<std::vector<std::string>, 2> cuts{
+      std::vector<std::string>{"2.37", "6.1", "13", "40.01"}, {"0.1", "0.5"}};
+  for (std::size_t i = 0; i < plays.size(); ++i) {
+    const testing::TemporaryFolder whole, joined;
+    const auto play = [&](const testing::TemporaryFolder& folder, std::vector<std::string> more) {
+      std::vector<std::string> arguments = plays[i];
+      arguments.insert(arguments.end(), {"--out", folder.path("out")});
+      arguments.insert(arguments.end(), more.begin(), more.end());
+      const auto result = run(arguments);
+      ASSERT_EQ(result.exit_code, 0) << result.err;
+    };
+    play(whole, {});
+    const std::string file = joined.path("cut.checkpoint");
+    std::vector<std::string> from;
+    for (const std::string& cut : cuts[i]) {
+      std::vector<std::string> more{"--until", cut, "--checkpoint", file};
+      more.insert(more.end(), from.begin(), from.end());
+      play(joined, more);
+      from = {"--from", file};
+    }
+    play(joined, from);
+    for (const char* name :
+         {"steps.csv", "tools.csv", "threads.csv", "events.jsonl", "final.vtk", "summary.json"})
+      EXPECT_EQ(testing::read_file(whole.path(std::string("out/") + name)),
+                testing::read_file(joined.path(std::string("out/") + name)))
+          << name << " of " << plays[i][0];
+  }
+}
+
+TEST(RunCommand, RefusesACheckpointThatIsNotItsOwn) {
+  const testing::TemporaryFolder folder;
+  const std::string file = folder.path("a.checkpoint"), out = folder.path("out");
+  const std::vector<std::string> play{kScene, "--surgeon", kOneBite, "--out", out};
+  const auto with = [&](std::vector<std::string> more) {
+    std::vector<std::string> arguments = play;
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return run(arguments);
+  };
+  ASSERT_EQ(with({"--until", "0.2", "--checkpoint", file}).exit_code, 0);
+  const auto refused = [](const testing::ProgramResult& result, const std::string& word) {
+    EXPECT_EQ(result.exit_code, 1) << word;
+    EXPECT_NE(result.err.find(word), std::string::npos) << result.err;
+  };
+  refused(with({"--from", file, "--rate", "100"}), "--rate");
+  refused(with({"--from", file, "--until", "0.1"}), "behind the end");
+  refused(run({SUTURED_SOURCE_DIR "/server/scenes/anastomosis/closure20.toml", "--duration", "1",
+               "--out", out, "--from", file}),
+          "is of scene");
+  refused(run({kScene, "--surgeon", kOneBite, "--out", folder.path("other"), "--from", file}),
+          "give --out");
+  refused(with({"--from", kScene}), "no checkpoint");
+  std::string bytes = testing::read_file(file);
+  bytes[bytes.size() / 2] = static_cast<char>(bytes[bytes.size() / 2] ^ 1);
+  std::ofstream(file, std::ios::binary) << bytes;
+  refused(with({"--from", file}), "damaged");
+}
+
 /// The needle goes in and out of both walls at any rate, at the puncture force or a substep beyond
 /// it.
 TEST(RunCommand, TheCourseOfTheNeedleDoesNotDependOnTheRate) {

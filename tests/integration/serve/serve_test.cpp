@@ -11,6 +11,7 @@
 #include <cmath>
 #include <cstdio>
 #include <deque>
+#include <filesystem>
 #include <fstream>
 #include <limits>
 #include <mutex>
@@ -18,6 +19,7 @@
 #include <vector>
 
 #include "integration/serve/raw_device.hpp"
+#include "protocol/surgeon.hpp"
 #include "support/pressed_block.hpp"
 #include "support/process.hpp"
 #include "support/temporary_folder.hpp"
@@ -690,6 +692,170 @@ name = "forceps"
   EXPECT_TRUE(std::isnan(told.back().gap_m));    // the scene has no wound
   for (std::size_t i = 1; i < told.size(); ++i)  // the stamp may come late after the decision
     EXPECT_GE(told[i].stamp_ns - told[i - 1].stamp_ns, 450 * kMs);
+}
+
+// ------------------------------------------------------------------ checkpoints
+
+/// The anastomosis, played by a hand that stops with the needle in the first wall.
+class ServedBite : public Serve {
+ protected:
+  static constexpr double kInTheWall_s = 3.3;
+
+  void SetUp() override { scene_ = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/scene.toml"; }
+
+  void play_into_the_wall() {
+    track_ = *surgeon_.track("driver");
+    device_ = std::make_unique<RawDevice>(session_, "driver");
+    const std::int64_t begun_ns = suture::monotonic_ns();
+    device_->spoil([this, begun_ns](suture::v1::ToolPose& pose) {
+      const double time_s = static_cast<double>(suture::monotonic_ns() - begun_ns) * 1e-9;
+      const suture::SurgeonPose at = track_.at(std::clamp(time_s, track_.begin_s(), kInTheWall_s));
+      std::copy(at.position_m.begin(), at.position_m.end(), pose.position_m);
+      std::copy(at.orientation_xyzw.begin(), at.orientation_xyzw.end(), pose.orientation_xyzw);
+      pose.jaw = static_cast<float>(at.jaw);
+    });
+    suture::ViewerCallbacks callbacks;
+    callbacks.on_needle = [this](const suture::NeedleView& view) {
+      const std::lock_guard lock(mutex_);
+      needle_ = {view.epoch, std::string(view.holder), view.tip_inside, view.embedded_length_m,
+                 view.position_m};
+    };
+    viewer_ = std::make_unique<suture::Viewer>(session_options(), callbacks);
+    ASSERT_TRUE(saw_event(suture_v1_EVENT_PUNCTURE)) << server_->output();
+    ASSERT_TRUE(eventually([this] { return needle().embedded_m > 1e-3; }));
+  }
+  void TearDown() override {
+    if (viewer_) viewer_->close();
+    Serve::TearDown();
+  }
+
+  struct Needle {
+    std::uint64_t epoch = 0;
+    std::string holder;
+    bool tip_inside = false;
+    double embedded_m = 0.0;
+    std::array<double, 3> position_m{};
+  };
+  Needle needle() {
+    const std::lock_guard lock(mutex_);
+    return needle_;
+  }
+  /// Waits until the needle no longer moves, and returns it.
+  Needle settled() {
+    Needle before = needle();
+    int still = 0;
+    EXPECT_TRUE(eventually([&] {
+      const Needle now = needle();
+      if (now.epoch == before.epoch && std::abs(now.embedded_m - before.embedded_m) < 1e-7) {
+        ++still;
+      } else {
+        still = 0;
+        before = now;
+      }
+      return still > 300;
+    }));
+    return needle();
+  }
+  static void expect_same(const Needle& now, const Needle& then) {
+    EXPECT_EQ(now.holder, then.holder);
+    EXPECT_EQ(now.tip_inside, then.tip_inside);
+    // The hand stands still: what is left is how far friction still lets the needle creep.
+    EXPECT_NEAR(now.embedded_m, then.embedded_m, 50e-6);
+    for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(now.position_m[i], then.position_m[i], 50e-6);
+  }
+  /// The first force of an epoch is none: it comes back by a ramp.
+  void expect_from_zero(std::uint64_t after_epoch) {
+    for (const ToolForce& force : watcher_.all()) {
+      if (force.epoch <= after_epoch || force.state != suture_v1_TOOL_RAMPING) continue;
+      EXPECT_LT(norm(force.force_n), 1e-3);
+      return;
+    }
+    ADD_FAILURE() << "it never ramped";
+  }
+  static std::size_t files_in(const std::string& folder) {
+    return static_cast<std::size_t>(std::distance(std::filesystem::directory_iterator(folder), {}));
+  }
+
+  suture::Surgeon surgeon_ =
+      suture::read_surgeon(SUTURED_SOURCE_DIR "/server/scenes/anastomosis/one_bite.csv");
+  suture::SurgeonTrack track_;
+  std::mutex mutex_;
+  Needle needle_;
+  std::unique_ptr<suture::Viewer> viewer_;
+  std::unique_ptr<RawDevice> device_;
+};
+
+TEST_F(ServedBite, GoesOnAfterAKillWithTheNeedleInTheWall) {
+  const std::string checkpoints = folder_.path("checkpoints");
+  start_server({"--checkpoints", checkpoints});
+  play_into_the_wall();
+  const Needle then = settled();
+  ASSERT_EQ(then.holder, "driver");
+  const std::size_t files = files_in(checkpoints);
+  ASSERT_TRUE(eventually([&] { return files_in(checkpoints) > files + 1; }));  // of it at rest
+  server_->send(SIGKILL);
+  server_->wait();
+  viewer_->close();
+  viewer_.reset();
+  watcher_.clear();
+  start_server({"--checkpoints", checkpoints});
+  EXPECT_NE(server_->output().find("resumed at"), std::string::npos) << server_->output();
+  suture::ViewerCallbacks callbacks;
+  callbacks.on_needle = [this](const suture::NeedleView& view) {
+    const std::lock_guard lock(mutex_);
+    needle_ = {view.epoch, std::string(view.holder), view.tip_inside, view.embedded_length_m,
+               view.position_m};
+  };
+  viewer_ = std::make_unique<suture::Viewer>(session_options(), callbacks);
+  ASSERT_TRUE(eventually([&] { return needle().epoch > then.epoch; }));
+  ASSERT_TRUE(eventually([this] { return watcher_.last().state == suture_v1_TOOL_RENDERING; }));
+  expect_same(settled(), then);
+  expect_from_zero(then.epoch);
+  EXPECT_TRUE(saw_event(suture_v1_EVENT_REWOUND));
+}
+
+TEST_F(ServedBite, KeepsGoesBackAndRestoresByCommand) {
+  start_server({"--checkpoints", folder_.path("checkpoints")});
+  play_into_the_wall();
+  const Needle then = settled();
+  suture::Session session(session_options());
+  using Kind = suture::CommandKind;
+  EXPECT_NE(session.command(Kind::kCheckpoint, {.checkpoint = "bite"}).find("\"bite\" at"),
+            std::string::npos);
+  EXPECT_TRUE(saw_event(suture_v1_EVENT_CHECKPOINT));
+  session.command(Kind::kReset);
+  ASSERT_TRUE(eventually([&] { return needle().epoch > then.epoch && !needle().tip_inside; }));
+  const std::uint64_t reset_epoch = needle().epoch;
+  session.command(Kind::kRestore, {.checkpoint = "bite"});
+  ASSERT_TRUE(eventually([&] { return needle().epoch > reset_epoch; }));
+  ASSERT_TRUE(eventually([&] {
+    return watcher_.last().epoch > reset_epoch && watcher_.last().state == suture_v1_TOOL_RENDERING;
+  }));
+  expect_same(settled(), then);
+  expect_from_zero(reset_epoch);
+  EXPECT_TRUE(saw_event(suture_v1_EVENT_REWOUND));
+  // Farther than there is: to the oldest, in the past of what was restored.
+  EXPECT_NE(session.command(Kind::kRewind, {.seconds = 1e5}).find("no older checkpoint"),
+            std::string::npos);
+  ASSERT_TRUE(eventually([this] { return !needle().tip_inside; }));
+  for (const char* name : {"../bite", "", "never"})
+    EXPECT_THROW(session.command(Kind::kRestore, {.checkpoint = name}), suture::Error) << name;
+  EXPECT_THROW(session.command(Kind::kCheckpoint, {.checkpoint = "a/b"}), suture::Error);
+  EXPECT_THROW(session.command(Kind::kRewind, {.seconds = -1.0}), suture::Error);
+}
+
+TEST_F(Serve, WithoutAFolderRefusesWhatWantsCheckpoints) {
+  start_server();
+  suture::Session session(session_options());
+  for (const auto kind : {suture::CommandKind::kCheckpoint, suture::CommandKind::kRewind,
+                          suture::CommandKind::kRestore}) {
+    try {
+      session.command(kind, {.checkpoint = "a", .seconds = 1.0});
+      ADD_FAILURE() << "not refused";
+    } catch (const suture::Error& error) {
+      EXPECT_NE(error.mend().find("--checkpoints"), std::string::npos);
+    }
+  }
 }
 
 }  // namespace

@@ -46,6 +46,7 @@ class Rig {
   bool world_changed = false;
   std::function<void(PoseSample&)> spoil;
   std::function<void(suture::HapticModel&)> couple;
+  std::optional<ToolPlace> place;  ///< of a world that was put in
 
   void run(std::int64_t milliseconds) {
     for (std::int64_t i = 0; i < milliseconds; ++i) {
@@ -72,7 +73,7 @@ class Rig {
     for (int i = 0; i < 3; ++i) model.bilateral_stiffness[7 * i] = kWall_n_per_m;
     if (couple) couple(model);
     suture::complete_model(model);
-    channel_.publish_model(model, now, now);
+    channel_.publish_model(model, now, now, place);
   }
   PoseSample sample() {
     PoseSample pose;
@@ -643,6 +644,46 @@ TEST(ToolChannel, StartsAgainFromZeroAfterAReset) {
   EXPECT_LE(rig.force_n(), 0.1);
   rig.run(300);
   EXPECT_NEAR(rig.force_n(), 1.5, 1e-9);
+}
+
+/// A rewind: the tool was elsewhere, with its jaw closed. The hand takes it over where it is.
+TEST(ToolChannel, EngagesFromWhereAnotherWorldHasTheTool) {
+  Rig rig;
+  rig.engage();
+  rig.place = ToolPlace{{{-0.02, 0.001, 0.0}, {0.0, 0.0, 0.0, 1.0}}, 1.0};
+  ++rig.epoch;
+  rig.largest_rise_n = 0.0;
+  rig.run(60);
+  rig.place.reset();  // the hand has come
+  rig.run(300);
+  const ToolTarget target = rig.channel().target();
+  EXPECT_EQ(target.epoch, rig.epoch);
+  EXPECT_NEAR(target.pose.position_m[0], -0.02, 1e-12);
+  EXPECT_NEAR(target.pose.position_m[1], 0.001, 1e-12);
+  EXPECT_EQ(target.jaw, 1.0);  // the hand's is open
+  EXPECT_EQ(rig.last.state, ToolState::kRendering);
+  EXPECT_NEAR(rig.force_n(), kWall_n_per_m * 0.02, 1e-9);
+  // From zero by the ramp, as after any fade.
+  EXPECT_LE(rig.largest_rise_n, rig.force_n() * 1.5 / 200 * 1.5 + 1e-9);
+  rig.jaw = 0.9;  // it takes the jaw over
+  rig.run(8);
+  rig.jaw = 0.0;
+  rig.run(8);
+  EXPECT_EQ(rig.channel().target().jaw, 0.0);
+  rig.hand.position_m[0] += 0.003;
+  rig.run(8);
+  EXPECT_NEAR(rig.channel().target().pose.position_m[0], -0.017, 1e-12);
+}
+
+/// A new server that resumed what another one left: its first device finds the tool in place.
+TEST(ToolChannel, EngagesFromThereWithTheFirstDeviceToo) {
+  Rig rig;
+  rig.place = ToolPlace{{{-0.02, 0.0, 0.0}, {0.0, 0.0, 0.0, 1.0}}, 1.0};
+  rig.run(8);
+  EXPECT_NEAR(rig.channel().target().pose.position_m[0], -0.02, 1e-12);
+  rig.writer = 8;  // and another one, before the first was seen to have come
+  rig.run(40);
+  EXPECT_NEAR(rig.channel().target().pose.position_m[0], -0.02, 1e-12);
 }
 
 TEST(ToolChannel, EngagesTheClutchWithAnOffsetAndFromZero) {
