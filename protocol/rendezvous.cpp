@@ -11,10 +11,6 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-std::string quoted(std::string_view session) {
-  return session.empty() ? "the default session" : "session \"" + std::string(session) + "\"";
-}
-
 /// What the network shows of servers that are not ours to talk to.
 struct OtherServers {
   std::set<std::string> sessions;  // where servers of our version answer
@@ -81,6 +77,10 @@ std::optional<ServerInfo> listen(const Participant& participant, std::chrono::na
 
 }  // namespace
 
+std::string session_text(std::string_view session) {
+  return session.empty() ? "the default session" : "session \"" + std::string(session) + "\"";
+}
+
 const ServerTool* ServerInfo::tool(std::string_view name) const noexcept {
   const auto found =
       std::find_if(tools.begin(), tools.end(), [&](const ServerTool& t) { return t.name == name; });
@@ -126,12 +126,12 @@ ServerInfo await_server(const Participant& participant, std::chrono::nanoseconds
                 "update the older of the two");
   }
   std::string cause = "no server answers in domain " + std::to_string(options.domain) + ", " +
-                      quoted(options.session);
+                      session_text(options.session);
   if (!others.sessions.empty()) {
     cause += " (one does in ";
     for (const std::string& session : others.sessions) {
       if (session != *others.sessions.begin()) cause += ", ";
-      cause += quoted(session);
+      cause += session_text(session);
     }
     cause += ")";
   }

@@ -13,6 +13,9 @@
 
 namespace suture {
 
+/// Names a session for people: `session "class-a"`, or `the default session`.
+[[nodiscard]] std::string session_text(std::string_view session);
+
 /// One tool of a server's scene.
 struct ServerTool {
   std::string name;

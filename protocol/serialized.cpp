@@ -81,13 +81,6 @@ std::optional<SerializedSample> SampleCodec::encode(const void* sample) const no
   return SerializedSample(data);
 }
 
-std::optional<SerializedSample> SampleCodec::check(
-    std::span<const std::byte> bytes) const noexcept {
-  ddsi_serdata* data = deserialise(type_, bytes);
-  if (data == nullptr) return std::nullopt;
-  return SerializedSample(data);
-}
-
 bool SampleCodec::decode_into(std::span<const std::byte> bytes, void* sample) const noexcept {
   ddsi_serdata* data = deserialise(type_, bytes);
   if (data == nullptr) return false;

@@ -58,9 +58,6 @@ class SampleCodec {
   /// `sample` is of the C type that the descriptor describes. Nothing where it does not
   /// keep to its type's bounds.
   [[nodiscard]] std::optional<SerializedSample> encode(const void* sample) const noexcept;
-  /// Checks bytes against the type; nothing where they are not such a sample.
-  [[nodiscard]] std::optional<SerializedSample> check(
-      std::span<const std::byte> bytes) const noexcept;
   /// Copies bytes into `sample`, a type without pointers; false where they are not such a
   /// sample.
   template <class T>

@@ -5,6 +5,7 @@
 #include <memory>
 
 #include "commands.hpp"
+#include "protocol/rendezvous.hpp"
 #include "protocol/serialized.hpp"
 #include "recording.hpp"
 #include "sample_facts.hpp"
@@ -83,9 +84,7 @@ class ServerWatch {
     if (present_ || said_) return;
     said_ = true;
     say("no server answers yet in domain " + std::to_string(session_.domain) + ", " +
-        (session_.session.empty() ? "the default session"
-                                  : "session \"" + session_.session + "\"") +
-        ": waiting; Ctrl-C ends");
+        session_text(session_.session) + ": waiting; Ctrl-C ends");
   }
 
  private:

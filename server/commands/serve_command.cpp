@@ -23,6 +23,7 @@
 #include "gateway/gateway.hpp"
 #include "gateway/site.hpp"
 #include "protocol/number_option.hpp"
+#include "protocol/rendezvous.hpp"
 #include "protocol/types.hpp"
 #include "scene/scene_reader.hpp"
 
@@ -153,8 +154,10 @@ int serve(const Options& options) {
   const double rate_hz = options.rate_hz > 0.0 ? options.rate_hz : scene.rate_hz;
 
   endpoints::Server::Options server_options;
-  server_options.session.domain = options.domain;
-  server_options.session.session = options.session;
+  suture::ParticipantOptions session;
+  session.domain = options.domain;
+  session.session = options.session;
+  server_options.session = session;
   server_options.rate_hz = rate_hz;
   if (!options.checkpoints.empty())
     server_options.checkpoints = {options.checkpoints, options.keep};
@@ -171,15 +174,11 @@ int serve(const Options& options) {
   if (!server.realtime().note.empty()) log->warn("{}", server.realtime().note);
   if (const std::string notes = server.notes(); !notes.empty()) log->warn("{}", notes);
   if (!server.resumed().empty()) log->info("resumed {} of the simulation", server.resumed());
-  log->info(
-      "serving scene \"{}\" at {} Hz in domain {}, {}; Ctrl-C ends", name, rate_hz, options.domain,
-      options.session.empty() ? "the default session" : "session \"" + options.session + "\"");
+  log->info("serving scene \"{}\" at {} Hz in domain {}, {}; Ctrl-C ends", name, rate_hz,
+            options.domain, suture::session_text(options.session));
 
   std::optional<gateway::Gateway> web;
   if (options.http != "off") {
-    suture::ParticipantOptions session;
-    session.domain = options.domain;
-    session.session = options.session;
     web.emplace(session, gateway_options(options, *log));
     log->info("viewer at {}", web->url());
   }

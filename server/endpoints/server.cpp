@@ -29,12 +29,11 @@ void refuse_a_second_server(const suture::Participant& control) {
   const auto other = suture::find_other_server(control, kListen);
   if (!other) return;
   const auto& options = control.options();
-  const std::string session =
-      options.session.empty() ? "the default session" : "session \"" + options.session + "\"";
   throw suture::Error(suture::ErrorCode::kServerRunning,
-                      session + " of domain " + std::to_string(options.domain) +
-                          " has a server: scene \"" + other->scene + "\", process " +
-                          std::to_string(other->pid) + " on " + other->host,
+                      suture::session_text(options.session) + " of domain " +
+                          std::to_string(options.domain) + " has a server: scene \"" +
+                          other->scene + "\", process " + std::to_string(other->pid) + " on " +
+                          other->host,
                       "end that one, or start this one with another --session or --domain");
 }
 

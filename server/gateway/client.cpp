@@ -124,11 +124,14 @@ void Client::carry_out(const Unsupported& unsupported) {
 void Client::carry_out(const Malformed& malformed) { complain(malformed.reason); }
 
 void Client::deliver(const Delivery& delivery) {
-  for (const auto& [subscription, channel] : subscriptions_)
-    if (channel == delivery.channel)
-      outbox_.push(subscription, delivery.instance, delivery.depth, delivery.received_ns,
-                   delivery.sample);
-  wake();
+  bool wanted = false;
+  for (const auto& [subscription, channel] : subscriptions_) {
+    if (channel != delivery.channel) continue;
+    outbox_.push(subscription, delivery.instance, delivery.depth, delivery.received_ns,
+                 delivery.sample);
+    wanted = true;
+  }
+  if (wanted) wake();
 }
 
 void Client::renew(const Access& access) {

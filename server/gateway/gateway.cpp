@@ -136,10 +136,8 @@ class Gateway::State : public ChannelSource {
   }
 
   Reply health() {
-    const suture::v1::ServerStatus* none = nullptr;
     std::string fault = "no status has come from the server";
     with_status([&](const suture::v1::ServerStatus& status) {
-      none = &status;
       fault.clear();
       if (suture::wall_clock_ns() - status.stamp_ns > kStatusStale_ns)
         fault = "the last status is " +

@@ -4,9 +4,9 @@
 #include <array>
 #include <boost/crc.hpp>
 #include <cstdio>
-#include <fstream>
-#include <iterator>
 #include <utility>
+
+#include "geometry/regular_file.hpp"
 
 namespace sutured::gateway {
 namespace {
@@ -35,13 +35,14 @@ std::string content_type_of(const fs::path& path) {
   return "application/octet-stream";
 }
 
+// Null where there is no such file.
 std::shared_ptr<const std::string> contents(const fs::path& path) {
-  std::error_code ignored;
-  if (!fs::is_regular_file(path, ignored) || fs::file_size(path, ignored) > kFileMax) return {};
-  std::ifstream file(path, std::ios::binary);
-  if (!file) return {};
-  return std::make_shared<const std::string>(std::istreambuf_iterator<char>(file),
-                                             std::istreambuf_iterator<char>());
+  try {
+    return std::make_shared<const std::string>(
+        geometry::read_regular_file(path.string(), kFileMax));
+  } catch (const geometry::FileError&) {
+    return {};
+  }
 }
 
 std::string etag_of(const std::string& bytes) {

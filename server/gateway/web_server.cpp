@@ -199,6 +199,28 @@ struct WebServer::State {
     std::list<std::function<void()>>::iterator place_;
   };
 
+  // A client that is spoken to: it can be woken, until this ends, by a fault too.
+  class Presence {
+   public:
+    Presence(State& state, WebClient& client, asio::steady_timer& bell)
+        : state_(state),
+          client_(client),
+          place_(state.clients.insert(state.clients.end(), &client)) {
+      client_.wake = [&bell] { bell.cancel(); };
+    }
+    ~Presence() {
+      client_.wake = [] {};
+      state_.clients.erase(place_);
+    }
+    Presence(const Presence&) = delete;
+    Presence& operator=(const Presence&) = delete;
+
+   private:
+    State& state_;
+    WebClient& client_;
+    std::list<WebClient*>::iterator place_;
+  };
+
   asio::awaitable<void> connection(tcp::socket socket) {
     const Open open(counters);
     if (!tls) {
@@ -286,13 +308,10 @@ struct WebServer::State {
     if (auto [error] = co_await socket.async_accept(request, kAwait); error) co_return;
 
     asio::steady_timer bell(*io, asio::steady_timer::time_point::max());
-    const auto place = clients.insert(clients.end(), client.get());
-    client->wake = [&bell] { bell.cancel(); };
+    const Presence presence(*this, *client, bell);
     bool over = false;
     using asio::experimental::awaitable_operators::operator&&;
     co_await (listen(socket, *client, over) && speak(socket, *client, bell, over));
-    client->wake = [] {};
-    clients.erase(place);
   }
 
   template <class Socket>

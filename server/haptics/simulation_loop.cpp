@@ -113,7 +113,7 @@ bool SimulationLoop::change_world() {
       replace_asked_.store(false, std::memory_order_relaxed);
       replace_failure_.clear();
       try {
-        replace(simulation_, options_.quality ? &*options_.quality : nullptr);
+        replace(simulation_, quality());
       } catch (const std::exception& error) {
         replace_failure_ = error.what();
       }
@@ -155,20 +155,17 @@ void SimulationLoop::run() noexcept {
       if (paused()) {
         placed_ns_ = now_ns;
         if (changed) publish_frame(now_ns);
-      }
-      if (!paused())
+      } else {
         step(now_ns, static_cast<double>(beats) * static_cast<double>(period_ns_) * 1e-9);
-      if (options_.keep)
-        options_.keep(simulation_, options_.quality ? &*options_.quality : nullptr,
-                      suture::monotonic_ns());
+      }
+      if (options_.keep) options_.keep(simulation_, quality(), suture::monotonic_ns());
       const NextTick next = next_tick(due_ns, suture::monotonic_ns(), period_ns_);
       overruns_.fetch_add(next.missed, std::memory_order_relaxed);
       due_ns = next.at_ns;
       beats = next.missed + 1;
     }
     if (options_.keep)
-      options_.keep(simulation_, options_.quality ? &*options_.quality : nullptr,
-                    std::numeric_limits<std::int64_t>::max());
+      options_.keep(simulation_, quality(), std::numeric_limits<std::int64_t>::max());
     if (options_.watch) options_.watch(simulation_, true);
   } catch (const std::exception& error) {
     failure_ = error.what();

@@ -161,6 +161,10 @@ class SimulationLoop {
   void begin_epoch();
   bool change_world();
   void keep_tools();
+  /// What judges the surgeon; null: nobody does.
+  simulation::QualityMeter* quality() noexcept {
+    return options_.quality ? &*options_.quality : nullptr;
+  }
   void take_input(std::size_t tool, std::int64_t now_ns);
   void leave_out_placed(suture::HapticModel& model) const;
   void step(std::int64_t now_ns, double dt_s);

@@ -11,8 +11,8 @@
 namespace sutured::haptics {
 namespace {
 
-// A ramp ends before the promised 50 ms, so that a late tick does not break it.
 constexpr double kHalfClosed = 0.5;
+// A ramp ends before the promised 50 ms, so that a late tick does not break it.
 constexpr std::int64_t kZeroAfterStale_ns = 30 * kMillisecond_ns;
 // A mouse or a browser sends 60 to 125 poses a second, not evenly: zero by 150 ms.
 constexpr std::int64_t kPointerStaleAfter_ns = 100 * kMillisecond_ns;

@@ -559,7 +559,12 @@ TEST_F(Serve, NamesWhatIsWrongWithItsCommandLine) {
   };
   refuses({scene_, "--domain", "7"}, 2, "even");
   refuses({scene_, "--rate", "5"}, 2, "rate");
-  refuses({scene_, "--http", "127.0.0.1:8080"}, 2, "gateway");
+  refuses({scene_, "--http", "127.0.0.1:99999"}, 2, "is not an address");
+  refuses({scene_, "--http", "::1:8080"}, 2, "is not an address");
+  refuses({scene_, "--http", "8080", "--http-key", "key.pem"}, 2, "--http-certificate");
+  refuses({scene_, "--domain", std::to_string(session_.domain), "--session", session_.session,
+           "--http", "0.0.0.0:0"},
+          2, "would let everybody in");
   refuses({scene_, "--duration", "-1"}, 2, "duration");
   refuses({folder_.path("missing.toml")}, 1, "missing.toml");
   refuses({folder_.write("bad.toml", "name = \n")}, 1, "bad.toml:1");
