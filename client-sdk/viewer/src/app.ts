@@ -67,7 +67,6 @@ export class App {
       connection: (state) => this.#onConnection(state),
       hand: (report) => this.#hand.onReport(report),
       notice: (text) => this.#events.notice(text, "warn"),
-      commandSent: () => {},
     });
     // The worker connects while the picture is made ready: what it has to say waits in its channel.
     this.#link.connect(serverAddress(location.href, __SOCKET_PATH__));

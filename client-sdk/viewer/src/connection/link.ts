@@ -7,7 +7,6 @@ export interface LinkListeners {
   connection(state: ConnectionState): void;
   hand(report: HandReport): void;
   notice(text: string): void;
-  commandSent(request: bigint, kind: CommandKind): void;
 }
 
 type DataListener = (message: never, bytes: number) => void;
@@ -26,8 +25,6 @@ export class Link {
           return listeners.hand(data.report);
         case "notice":
           return listeners.notice(data.text);
-        case "command_sent":
-          return listeners.commandSent(data.request, data.kind);
         case "data":
           this.#listeners.get(data.topic)?.forEach((listener) => listener(data.message as never, data.bytes));
       }

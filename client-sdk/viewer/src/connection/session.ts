@@ -190,7 +190,6 @@ export class Session implements HandOutput {
       requester: kNobody, epoch: this.#epoch, request: this.#request, stamp_ns: this.#stamp(), kind, tool,
       requester_name: "viewer",
     });
-    this.#post({ type: "command_sent", request: this.#request, kind });
   }
 
   #onStatus(status: ServerStatus): void {

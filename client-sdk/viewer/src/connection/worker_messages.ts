@@ -39,5 +39,4 @@ export type FromWorker =
   | { type: "connection"; state: ConnectionState }
   | DataMessage
   | { type: "hand"; report: HandReport }
-  | { type: "command_sent"; request: bigint; kind: CommandKind }
   | { type: "notice"; text: string };

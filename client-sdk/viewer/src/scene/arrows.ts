@@ -27,6 +27,7 @@ export class Arrows {
     for (const mesh of [this.#shafts, this.#heads]) {
       mesh.frustumCulled = false;
       mesh.count = 0;
+      mesh.visible = false;
       this.group.add(mesh);
     }
   }
@@ -54,6 +55,7 @@ export class Arrows {
     }
     for (const mesh of [this.#shafts, this.#heads]) {
       mesh.count = count;
+      mesh.visible = count > 0;
       mesh.instanceMatrix.needsUpdate = true;
       if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
     }

@@ -20,6 +20,7 @@ export class Contacts {
   constructor() {
     this.#dots.frustumCulled = false;
     this.#dots.count = 0;
+    this.#dots.visible = false;
     this.group.add(this.#dots, this.#arrows.group);
   }
 
@@ -49,6 +50,7 @@ export class Contacts {
       arrows.push({ from: add(at, scale(normal, dot_m)), vector: scale(normal, length), radius_m: 0.28 * dot_m, colour: kPressed });
     });
     this.#dots.count = points.length;
+    this.#dots.visible = points.length > 0;
     this.#dots.instanceMatrix.needsUpdate = true;
     if (this.#dots.instanceColor) this.#dots.instanceColor.needsUpdate = true;
     this.#arrows.set(arrows);

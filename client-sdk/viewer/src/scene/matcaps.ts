@@ -1,33 +1,52 @@
 // SPDX-License-Identifier: Apache-2.0
-import { CanvasTexture, SRGBColorSpace, type Texture } from "three";
+import { DataTexture, LinearFilter, MeshMatcapMaterial, SRGBColorSpace } from "three";
 
-const kSize = 256;
+const kSize = 96;
+
+/** From top to bottom of the sphere: a bright sky, a dark horizon, what the floor throws back. */
+const kBands = [
+  [0, 0.97], [0.24, 0.8], [0.46, 0.58], [0.57, 0.36], [0.68, 0.5], [0.86, 0.3], [1, 0.14],
+] as const;
+/** Soft lights: place on the sphere, size, and colour added. */
+const kLights = [
+  { x: 0.34, y: 0.27, size: 0.2, colour: [0.55, 0.55, 0.54] },
+  { x: 0.75, y: 0.42, size: 0.15, colour: [0.22, 0.25, 0.3] },
+  { x: 0.3, y: 0.82, size: 0.26, colour: [0.16, 0.1, 0.06] },
+] as const;
+const kTint = [0.96, 0.98, 1] as const;
+
+function band(y: number): number {
+  for (let i = 1; i < kBands.length; ++i) {
+    const [at, value] = kBands[i]!;
+    const [before, valueBefore] = kBands[i - 1]!;
+    if (y <= at) return valueBefore + ((y - before) / (at - before)) * (value - valueBefore);
+  }
+  return kBands.at(-1)![1];
+}
 
 /**
- * Returns polished steel under soft boxes as a matcap: what a sphere of it looks like. It costs one
+ * Returns polished steel under soft lights as a matcap: what a sphere of it looks like. It costs one
  * look-up a pixel and needs no environment, which takes seconds to prepare where there is no GPU.
  */
-export function steelMatcap(): Texture {
-  const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = kSize;
-  const paint = canvas.getContext("2d")!;
-  const ground = paint.createLinearGradient(0, 0, 0, kSize);
-  for (const [at, colour] of [
-    [0, "#f7fafd"], [0.22, "#c9d2dc"], [0.45, "#8f9ba8"], [0.56, "#59646f"], [0.66, "#7d8996"], [0.85, "#4a545f"], [1, "#20262d"],
-  ] as const) ground.addColorStop(at, colour);
-  paint.fillStyle = ground;
-  paint.fillRect(0, 0, kSize, kSize);
-  const light = (x: number, y: number, radius: number, colour: string) => {
-    const glow = paint.createRadialGradient(x * kSize, y * kSize, 0, x * kSize, y * kSize, radius * kSize);
-    glow.addColorStop(0, colour);
-    glow.addColorStop(1, "rgb(255 255 255 / 0%)");
-    paint.fillStyle = glow;
-    paint.fillRect(0, 0, kSize, kSize);
-  };
-  light(0.34, 0.26, 0.24, "rgb(255 255 255 / 95%)");
-  light(0.76, 0.4, 0.16, "rgb(226 238 255 / 55%)");
-  light(0.3, 0.82, 0.3, "rgb(255 214 190 / 26%)");
-  const texture = new CanvasTexture(canvas);
+function steelTexture(): DataTexture {
+  const data = new Uint8Array(4 * kSize * kSize);
+  for (let row = 0; row < kSize; ++row)
+    for (let column = 0; column < kSize; ++column) {
+      const [x, y] = [column / (kSize - 1), 1 - row / (kSize - 1)];
+      for (let k = 0; k < 3; ++k) {
+        let value = band(y) * kTint[k]!;
+        for (const light of kLights) value += light.colour[k]! * Math.exp(-((x - light.x) ** 2 + (y - light.y) ** 2) / light.size ** 2);
+        data[4 * (row * kSize + column) + k] = 255 * Math.min(1, value);
+      }
+      data[4 * (row * kSize + column) + 3] = 255;
+    }
+  const texture = new DataTexture(data, kSize, kSize);
   texture.colorSpace = SRGBColorSpace;
+  texture.magFilter = texture.minFilter = LinearFilter;
+  texture.needsUpdate = true;
   return texture;
 }
+
+const kSteel = steelTexture();
+
+export const steel = (): MeshMatcapMaterial => new MeshMatcapMaterial({ matcap: kSteel });

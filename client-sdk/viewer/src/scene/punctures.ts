@@ -20,6 +20,7 @@ export class Punctures {
   constructor() {
     this.mesh.frustumCulled = false;
     this.mesh.count = 0;
+    this.mesh.visible = false;
   }
 
   begin(): void {
@@ -42,6 +43,7 @@ export class Punctures {
 
   end(): void {
     this.mesh.count = this.#count;
+    this.mesh.visible = this.#count > 0;
     this.mesh.instanceMatrix.needsUpdate = true;
     if (this.mesh.instanceColor) this.mesh.instanceColor.needsUpdate = true;
   }

@@ -40,7 +40,7 @@ export class Stage {
     this.#marker.visible = false;
     view.scene.add(this.tissue.group, this.sutures.group, this.tools.group, this.#contacts.group, this.#marker);
 
-    this.tissue.prepare(() => view.prepare());
+    view.prepare(this.tissue.standIn());
 
     link.on("suture/mesh/topology", (topology) => {
       this.#meet(topology.epoch);

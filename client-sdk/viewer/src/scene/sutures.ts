@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Needles and threads: tubes along the courses that the server sends, with rings at their punctures.
-import { Group, MeshMatcapMaterial, type Material } from "three";
+import { Group, type Material } from "three";
 import type { NeedleState, ThreadState } from "../protocol/messages";
 import { AutoRange, kTensionMap } from "./colour_map";
-import { steelMatcap } from "./matcaps";
+import { steel } from "./matcaps";
 import { Punctures } from "./punctures";
 import { ScalarMaterial } from "./scalar_material";
 import { mixInto, stampMs, Timeline } from "./timeline";
@@ -53,7 +53,7 @@ export class Sutures {
   readonly #punctures = new Punctures();
   readonly #needles = new Map<string, Strand<NeedleState>>();
   readonly #threads = new Map<string, Strand<ThreadState>>();
-  readonly #steel = new MeshMatcapMaterial({ matcap: steelMatcap() });
+  readonly #steel = steel();
   readonly #silk = new ScalarMaterial(kTensionMap, { roughness: 0.55, metalness: 0, emissive: 0x1a1f3a });
 
   constructor() {

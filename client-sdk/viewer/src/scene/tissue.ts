@@ -121,17 +121,14 @@ export class Tissue {
   readonly #material = new ScalarMaterial(kStressMaps[0]!, { roughness: 0.48, metalness: 0 });
   #observed_ms = 0;
 
-  /** Calls `compile` while a stand-in of the material is in the scene: its program takes a while to make. */
-  prepare(compile: () => void): void {
+  /** Returns a triangle of the material, to make its program while the data are on the way. */
+  standIn(): Mesh {
     const geometry = new BufferGeometry();
     for (const [name, size] of [["position", 3], ["normal", 3], ["value", 1]] as const)
       geometry.setAttribute(name, new BufferAttribute(new Float32Array(3 * size), size));
     const standIn = new Mesh(geometry, this.#material);
     standIn.receiveShadow = true;
-    this.group.add(standIn);
-    compile();
-    this.group.remove(standIn);
-    geometry.dispose();
+    return standIn;
   }
 
   /** Takes a body at rest. Returns whether it is another one than before. */

@@ -1,18 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 import {
-  BoxGeometry, Color, CylinderGeometry, Group, Mesh, MeshMatcapMaterial,
-  MeshStandardMaterial, Quaternion, SphereGeometry, TorusGeometry, Vector3, type Material,
+  BoxGeometry, Color, CylinderGeometry, Group, Mesh, MeshStandardMaterial, Quaternion, SphereGeometry, TorusGeometry, Vector3, type Material, type MeshMatcapMaterial,
 } from "three";
 import type { Pose, Quat, Vec3 } from "../maths/vector";
 import { FORCE_ENGAGED, ToolState, type ToolView } from "../protocol/messages";
 import { Arrows, type Arrow } from "./arrows";
-import { steelMatcap } from "./matcaps";
+import { steel } from "./matcaps";
 import { stampMs, Timeline } from "./timeline";
 
 /** Of the tools, in the order in which they come. */
 export const kToolColours = ["#2dd4bf", "#f59e0b", "#a78bfa", "#f472b6", "#60a5fa", "#a3e635"];
 
-const kSteel = steelMatcap();
 const kJaw_m = 0.006;
 const kHinge_m = 0.0065;
 const kShaft_m = 0.075;
@@ -31,7 +29,7 @@ class Instrument {
 
   constructor(kind: string, colour: Color) {
     this.colour = colour;
-    this.#body = new MeshMatcapMaterial({ matcap: kSteel });
+    this.#body = steel();
     const accent = new MeshStandardMaterial({ color: colour, roughness: 0.4, metalness: 0.1, emissive: colour, emissiveIntensity: 0.18 });
     const along = (mesh: Mesh, z: number) => {
       mesh.rotation.x = Math.PI / 2;

@@ -2,7 +2,8 @@
 // Renderer, light, camera and the loop. It draws while something changes, and rests otherwise.
 import {
   Color, DirectionalLight, HemisphereLight, MOUSE, NeutralToneMapping, PCFSoftShadowMap, PerspectiveCamera,
-  Raycaster, Scene, TOUCH, Vector2, Vector3, WebGLRenderer,
+Raycaster, Scene, TOUCH, Vector2, Vector3,
+  WebGLRenderer, type Object3D,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { Vec3 } from "../maths/vector";
@@ -103,9 +104,9 @@ export class View {
     this.wake();
   }
 
-  /** Prepares what will be drawn first, while its data is still on the way. */
-  prepare(): void {
-    this.#renderer.compile(this.scene, this.camera);
+  /** Makes the programs that will draw `object`, while its data are still on the way. */
+  prepare(object: Object3D): void {
+    this.#renderer.compile(object, this.camera, this.scene);
   }
 
   /** Sets light, clipping and the camera's up for a scene of that size. */
