@@ -83,6 +83,11 @@ export class App {
       limits: () => ({ centre: this.#stage.axes.centre, radius: 4 * this.#stage.axes.radius }),
       wasLed,
     });
+    this.#hand.onEnd = (tool, why) => {
+      if (why === "") return;
+      this.#events.notice(`${tool} given back: ${why}`, "warn");
+      announce(`${tool} given back: ${why}`);
+    };
     this.#hand.onChange = () => {
       this.#view.handMode = this.#hand.tool !== undefined;
       document.documentElement.toggleAttribute("data-hand", this.#hand.tool !== undefined);

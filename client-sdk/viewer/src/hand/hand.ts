@@ -42,6 +42,8 @@ export class Hand {
   mode: DragMode = "move";
   /** Called when the hand took or let go of a tool, or its report came. */
   onChange: () => void = () => {};
+  /** Called when a hold ended; `why` for people, empty where they ended it themselves. */
+  onEnd: (tool: string, why: string) => void = () => {};
   readonly #link: Link;
   readonly #world: HandWorld;
   #tool: string | undefined;
@@ -49,7 +51,6 @@ export class Hand {
   #jaw = 0;
   #way: Pose[] = [];
   #report: HandReport | undefined;
-  #why = "";
 
   constructor(link: Link, world: HandWorld) {
     this.#link = link;
@@ -68,10 +69,6 @@ export class Hand {
   get target(): Pose {
     return this.#target;
   }
-  /** Why the last hold ended, for people; empty where they ended it themselves. */
-  get endedBecause(): string {
-    return this.#why;
-  }
 
   take(tool: string): void {
     if (this.#tool) this.release();
@@ -83,7 +80,6 @@ export class Hand {
     this.#jaw = led && view.holding !== "" ? view.jaw : 0;
     this.#tool = tool;
     this.#report = undefined;
-    this.#why = "";
     this.#way = [];
     this.#link.takeHand(tool, this.#target, this.#jaw);
     this.onChange();
@@ -91,12 +87,13 @@ export class Hand {
 
   /** Gives the lease back; `why` for people, where it was not their wish. */
   release(why = ""): void {
-    if (!this.#tool) return;
+    const tool = this.#tool;
+    if (!tool) return;
     this.#tool = undefined;
     this.#report = undefined;
-    this.#why = why;
     this.#link.releaseHand();
     this.onChange();
+    this.onEnd(tool, why);
   }
 
   /** The connection ended: the lease with it. */

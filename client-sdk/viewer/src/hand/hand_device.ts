@@ -12,7 +12,7 @@ import { PosePacer } from "./pacer";
 /** 125 Hz; a server lets a pointer rest for 150 ms. */
 export const kPosePeriod_ms = 8;
 /** A page that says nothing for so long has lost its hand. */
-export const kSilence_ms = 1000;
+export const kSilence_ms = 1500;
 /** Without an answer for so long somebody else holds the tool. */
 const kAnswer_ms = 700;
 /** Poses whose answer may still come. */
@@ -96,6 +96,7 @@ export class HandDevice {
     this.#report = {
       ...this.#report,
       lease: this.#lease(nowMs),
+      ...(this.#answered(nowMs) ? {} : { force: [0, 0, 0] as Vec3, torque: [0, 0, 0] as Vec3, roundTripMs: undefined }),
       pose: { position: paced.position, orientation: paced.orientation },
       jaw: paced.jaw,
       poseRateHz: span > 0 ? ((this.#ticks.length - 1) / span) * 1000 : 0,
@@ -131,16 +132,19 @@ export class HandDevice {
 
   /** Takes what the server says of this tool. */
   onStatus(status: ToolStatus | undefined): void {
-    const answered = this.#answeredMs !== undefined && this.#clock.nowMs() - this.#answeredMs < kAnswer_ms;
-    this.#heldByOther = !answered && status?.leased === true;
+    this.#heldByOther = !this.#answered(this.#clock.nowMs()) && status?.leased === true;
   }
 
   tell(): void {
     this.#output.report(this.#report);
   }
 
+  #answered(nowMs: number): boolean {
+    return this.#answeredMs !== undefined && nowMs - this.#answeredMs < kAnswer_ms;
+  }
+
   #lease(nowMs: number): LeaseState {
-    if (this.#answeredMs !== undefined && nowMs - this.#answeredMs < kAnswer_ms) return "held";
+    if (this.#answered(nowMs)) return "held";
     return this.#heldByOther && nowMs - this.#startedMs > kAnswer_ms ? "refused" : "asking";
   }
 

@@ -150,7 +150,6 @@ export class HandPanel {
     if (text === this.#leaseText) return;
     this.#leaseText = text;
     setText(this.#lease, text);
-    if (text === "" && this.#hand.endedBecause !== "") announce(`The tool was given back: ${this.#hand.endedBecause}`);
   }
 
   #add(tool: string, colour: string): Row {

@@ -5,7 +5,7 @@ const kSize = 96;
 
 /** From top to bottom of the sphere: a bright sky, a dark horizon, what the floor throws back. */
 const kBands = [
-  [0, 0.97], [0.24, 0.8], [0.46, 0.58], [0.57, 0.36], [0.68, 0.5], [0.86, 0.3], [1, 0.14],
+  [0, 0.98], [0.24, 0.86], [0.46, 0.72], [0.6, 0.5], [0.7, 0.58], [0.86, 0.36], [1, 0.2],
 ] as const;
 /** Soft lights: place on the sphere, size, and colour added. */
 const kLights = [

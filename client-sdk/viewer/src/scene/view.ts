@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Renderer, light, camera and the loop. It draws while something changes, and rests otherwise.
 import {
-  Color, DirectionalLight, HemisphereLight, MOUSE, NeutralToneMapping, PCFSoftShadowMap, PerspectiveCamera,
+  Color, DirectionalLight, HemisphereLight, MOUSE, NeutralToneMapping, PCFShadowMap, PerspectiveCamera,
 Raycaster, Scene, TOUCH, Vector2, Vector3,
   WebGLRenderer, type Object3D,
 } from "three";
@@ -59,7 +59,7 @@ export class View {
     this.#renderer.toneMapping = NeutralToneMapping;
     this.#renderer.toneMappingExposure = 0.9;
     this.#renderer.shadowMap.enabled = !plain;
-    this.#renderer.shadowMap.type = PCFSoftShadowMap;
+    this.#renderer.shadowMap.type = PCFShadowMap;
     this.#ratio = plain ? 0.75 : Math.min(devicePixelRatio, 2);
     this.#adapts = !wantsBest();
     this.#renderer.setPixelRatio(this.#ratio);
@@ -67,7 +67,7 @@ export class View {
     this.#key.shadow.mapSize.set(2048, 2048);
     this.#key.shadow.bias = -0.0006;
     this.#key.shadow.normalBias = 0.00025;
-    this.#key.shadow.radius = 5;
+    this.#key.shadow.radius = 6;
     this.scene.add(this.#sky, this.#key, this.#key.target, this.#fill, this.#fill.target, this.#rim, this.#rim.target);
     this.camera.position.set(0.1, 0.06, 0.06);
     this.#controls = this.#makeControls(new Vector3());
