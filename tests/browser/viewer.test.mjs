@@ -1,0 +1,185 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+import assert from "node:assert/strict";
+import { readdirSync, statSync } from "node:fs";
+import { join } from "node:path";
+import { after, before, beforeEach, describe, it } from "node:test";
+import { event, figure, launch, lease, missing, nextFrame, open, pixels, root, Server } from "./support.mjs";
+
+const why = missing();
+if (why) {
+  console.log(`skipped: ${why}`);
+  process.exit(77); // as CTest is told
+}
+
+/** Warm and lit: tissue at rest or stressed, and nothing else of the picture. */
+const tissue = (r, g, b) => r > 90 && r > g + 18 && g >= b - 30 && r > b + 24;
+/** Brighter than the ground and without a colour: steel. */
+const steel = (r, g, b) => Math.min(r, g, b) > 120 && Math.max(r, g, b) - Math.min(r, g, b) < 26;
+
+describe("the viewer", { timeout: 240_000 }, () => {
+  let server, browser;
+  before(async () => {
+    server = await Server.start();
+    browser = await launch();
+  });
+  after(async () => {
+    await browser?.close();
+    await server?.end();
+  });
+  // Each test leaves the page and its scene as it wants: the next one begins anew.
+  let context = [];
+  const page = async (options) => {
+    const opened = await open(browser, server, options);
+    context.push(opened);
+    return opened.page;
+  };
+  beforeEach(async () => {
+    for (const { page: opened } of context) await opened.close();
+    context = [];
+  });
+
+  it("weighs less than a megabyte", () => {
+    let bytes = 0;
+    for (const folder of ["build/viewer", "build/viewer/assets"])
+      for (const name of readdirSync(join(root, folder)))
+        if (name.endsWith(".gz")) bytes += statSync(join(root, folder, name)).size;
+    console.log(`page weight: ${(bytes / 1000).toFixed(0)} kB compressed`);
+    assert.ok(bytes > 50_000 && bytes < 1_000_000, String(bytes));
+  });
+
+  it("draws both vessels and the needle", async () => {
+    const opened = await page();
+    const ms = await opened.evaluate(() => document.documentElement.dataset.firstPictureMs);
+    console.log(`first picture: ${ms} ms after the page was asked for (budget on loopback: 2000 ms)`);
+    await opened.waitForSelector('[data-figure="Mesh"]');
+    await nextFrame(opened);
+    const warm = await pixels(opened, tissue);
+    assert.ok(warm.left > 0.04 && warm.left < 0.6, `tissue on the left: ${warm.left}`);
+    assert.ok(warm.right > 0.04 && warm.right < 0.6, `tissue on the right: ${warm.right}`);
+    const bright = await pixels(opened, steel);
+    assert.ok(bright.left + bright.right > 0.002, `steel: ${bright.left + bright.right}`);
+    assert.deepEqual(context[0].faults, []);
+  });
+
+  it("gets at least thirty frames a second", async () => {
+    const opened = await page();
+    const rate = await figure(opened, "Frames", (value) => value >= 30);
+    console.log(`frames: ${rate} a second`);
+  });
+
+  it("tells numbers of a place that is picked", async () => {
+    const opened = await page();
+    const box = await opened.locator("#canvas").boundingBox();
+    // The vessels fill the middle of the overview, left and right of the gap.
+    await opened.mouse.click(box.x + 0.36 * box.width, box.y + 0.5 * box.height);
+    const card = opened.getByRole("region", { name: "Picked place" });
+    await card.waitFor();
+    assert.match(await card.innerText(), /(proximal|distal)[\s\S]*Position[\s\S]*mm[\s\S]*Von Mises[\s\S]*kPa/);
+    await card.getByRole("button", { name: "Close" }).click();
+    await card.waitFor({ state: "hidden" });
+  });
+
+  it("pauses, resumes, and resets when asked twice", async () => {
+    const opened = await page();
+    await opened.getByRole("button", { name: "Pause" }).click();
+    await opened.getByText("paused", { exact: true }).waitFor();
+    await opened.getByRole("button", { name: "Resume" }).click();
+    await opened.getByText("live", { exact: true }).waitFor();
+    await opened.getByRole("button", { name: "Reset" }).click();
+    await opened.getByRole("button", { name: "Really reset?" }).click();
+    await event(opened, "Reset");
+  });
+
+  it("leads the needle by the mouse to a puncture, and gives the tool back", async () => {
+    const opened = await page();
+    const driver = opened.locator('[data-tool="driver"]');
+    await driver.getByRole("button").click();
+    await lease(opened, "held");
+    await opened.getByRole("button", { name: "To the needle" }).click();
+    await opened.getByText(/needle: 0\.\d mm from the jaw/).waitFor();
+    await opened.getByRole("button", { name: "Close jaw" }).click();
+    await event(opened, "Grasp");
+    await driver.getByText(/holds needle/).waitFor();
+
+    await opened.getByRole("button", { name: "Drive", exact: true }).click();
+    const box = await opened.locator("#canvas").boundingBox();
+    let x = box.x + 0.3 * box.width;
+    await opened.mouse.move(x, box.y + 0.3 * box.height);
+    await opened.mouse.down();
+    // 0.04 mm a pixel: the wall is 2 mm away, and gives way before it is pierced.
+    const punctures = () => opened.locator('.events li[data-kind="Puncture"]').count();
+    for (let i = 0; i < 100 && (await punctures()) === 0; ++i) {
+      await opened.mouse.move((x += 4), box.y + 0.3 * box.height);
+      await nextFrame(opened);
+    }
+    await opened.mouse.up();
+    await event(opened, "Puncture");
+    assert.match(await opened.locator('.events li[data-kind="Puncture"]').first().innerText(), /needle punctures proximal \(0\.\d+ N\)/);
+
+    // Another page sees that the tool is taken, and cannot take it.
+    const other = await page();
+    await other.locator('[data-tool="driver"]').getByRole("button").and(other.locator(":disabled")).waitFor();
+
+    await driver.getByRole("button", { name: "driver" }).click();
+    await event(opened, "ToolReturned");
+    await lease(opened, "none");
+    await other.locator('[data-tool="driver"]').getByRole("button").and(other.locator(":enabled")).waitFor();
+  });
+
+  it("gives the tool back when the page is hidden", async () => {
+    const opened = await page();
+    await opened.keyboard.press("g");
+    await lease(opened, "held");
+    await opened.evaluate(() => {
+      Object.defineProperty(document, "hidden", { value: true, configurable: true });
+      document.dispatchEvent(new Event("visibilitychange"));
+      Object.defineProperty(document, "hidden", { value: false, configurable: true });
+    });
+    await lease(opened, "none");
+    await opened.locator('.events li[data-kind="Page"]', { hasText: "the page was hidden" }).waitFor();
+  });
+
+  it("has names for its controls, a list of its keys, and two themes", async () => {
+    const opened = await page();
+    const nameless = await opened.evaluate(() => [...document.querySelectorAll("button")]
+      .filter((button) => !button.textContent.trim() && !button.getAttribute("aria-label")).length);
+    assert.equal(nameless, 0);
+    await opened.keyboard.press("h");
+    await opened.getByRole("dialog", { name: "Mouse, touch and keys" }).waitFor();
+    await opened.keyboard.press("Escape");
+    await opened.getByRole("dialog").waitFor({ state: "hidden" });
+    for (const theme of ["light", "dark"]) {
+      await opened.keyboard.press("d");
+      await opened.waitForSelector(`html[data-theme="${theme}"]`, { state: "attached" });
+    }
+  });
+
+  it("fits a tablet, where a tap picks", async () => {
+    const opened = await page({ viewport: { width: 820, height: 1180 }, hasTouch: true });
+    const wide = await opened.evaluate(() => document.documentElement.scrollWidth);
+    assert.ok(wide <= 820, `${wide} pixels wide`);
+    const box = await opened.locator("#canvas").boundingBox();
+    assert.ok(box.height > 0.4 * 1180);
+    const warm = await pixels(opened, tissue);
+    assert.ok(warm.left > 0.03 && warm.right > 0.03, JSON.stringify(warm));
+    await opened.touchscreen.tap(box.x + 0.36 * box.width, box.y + 0.5 * box.height);
+    await opened.getByRole("region", { name: "Picked place" }).waitFor();
+  });
+
+  it("says that the connection is lost, and comes back by itself", async () => {
+    const opened = await page();
+    await figure(opened, "Frames", (value) => value > 0);
+    await server.end("SIGKILL");
+    await opened.waitForSelector('html[data-connection="lost"]', { state: "attached" });
+    await opened.getByRole("heading", { name: "Connection lost" }).waitFor();
+    const warm = await pixels(opened, tissue);
+    assert.ok(warm.left > 0.04, "the last picture stays");
+
+    server = await Server.start(undefined, server.port);
+    await opened.waitForSelector('html[data-connection="open"]', { state: "attached" });
+    await opened.locator("#overlay").waitFor({ state: "hidden" });
+    await figure(opened, "Frames", (value) => value === 0);
+    await figure(opened, "Frames", (value) => value > 0);
+    assert.deepEqual(context[0].faults, []);
+  });
+});
