@@ -12,8 +12,9 @@ export const root = join(dirname(fileURLToPath(import.meta.url)), "../..");
 export const program = process.env.SUTURED_PROGRAM ?? join(root, "build/release/server/sutured");
 export const vessels = join(root, "server/scenes/anastomosis/scene.toml");
 
-/** DDS domains 0 to 232 exist; a process of its own draws an even one that ordinary use leaves alone. */
+/** An even domain that ordinary use leaves alone, and a session of this process in it. */
 const domain = 100 + 2 * (process.pid % 60);
+const session = `browser-${process.pid}`;
 
 /** A port that nobody has just now: a server that comes back must come back on the same one. */
 async function freePort() {
@@ -34,8 +35,9 @@ export class Server {
     const server = new Server();
     server.scene = scene;
     server.port = port ?? (await freePort());
-    server.#process = spawn(program, ["serve", scene, "--domain", String(domain), "--http", `127.0.0.1:${server.port}`],
+    server.#process = spawn(program, ["serve", scene, ...server.place, "--http", `127.0.0.1:${server.port}`],
       { stdio: ["ignore", "ignore", "pipe"] });
+    process.once("exit", () => server.#process.kill());
     await new Promise((resolve, reject) => {
       server.#process.on("error", reject);
       server.#process.on("exit", (code, signal) => reject(new Error(`sutured ended with ${code ?? signal}:\n${server.log}`)));
@@ -51,8 +53,9 @@ export class Server {
   get url() {
     return `http://127.0.0.1:${this.port}/`;
   }
-  get domain() {
-    return domain;
+  /** Where it is found over DDS, as options of a command. */
+  get place() {
+    return ["--domain", String(domain), "--session", session];
   }
 
   async end(signal = "SIGINT") {

@@ -149,6 +149,8 @@ test("a jaw closes at the end that is free", () => {
   assert.equal(graspShare(arcNeedle(), undefined), 0.88);
   assert.equal(graspShare(arcNeedle({ punctures: [at(0.001), at(0.004)] }), undefined), 0.88);
   assert.equal(graspShare(arcNeedle({ punctures: [at(0.015), at(0.02)] }), undefined), 0.12);
+  assert.equal(graspShare(arcNeedle({ embedded_length_m: 0.004, tip_inside: true }), undefined), 0.88);
+  assert.equal(graspShare(arcNeedle({ embedded_length_m: 0.004 }), undefined), 0.12, "drawn out by the tip");
   const tail: Vec3 = [0.019, 0, 0];
   assert.equal(graspShare(arcNeedle(), tail), 0.12, "away from who holds it");
 });

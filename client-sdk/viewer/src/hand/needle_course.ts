@@ -80,7 +80,7 @@ export function graspShare(needle: NeedleState, holder: Vec3 | undefined): numbe
     return away(kNearTip) > away(kNearTail) ? kNearTip : kNearTail;
   }
   const arcs = needle.punctures.map((puncture) => puncture.arc_length_m);
-  if (arcs.length === 0) return kNearTail;
+  if (arcs.length === 0) return needle.embedded_length_m > 0 && !needle.tip_inside ? kNearTip : kNearTail;
   return Math.min(...arcs) > needle.length_m - Math.max(...arcs) ? kNearTip : kNearTail;
 }
 

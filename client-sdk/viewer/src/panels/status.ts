@@ -25,6 +25,7 @@ export class Rate {
 export class StatusPanel {
   readonly element: HTMLElement;
   readonly #figures = new Figures();
+  #running = false;
 
   constructor() {
     this.element = card("Status", "status", this.#figures.element);
@@ -32,7 +33,8 @@ export class StatusPanel {
 
   set(status: ServerStatus): void {
     const f = this.#figures;
-    const late = status.achieved_rate_hz < 0.9 * status.rate_hz && status.state === ServerState.Running;
+    this.#running = status.state === ServerState.Running;
+    const late = status.achieved_rate_hz < 0.9 * status.rate_hz && this.#running;
     f.set("Simulation", `${hz(status.achieved_rate_hz)} of ${hz(status.rate_hz)}`, late ? "bad" : "");
     f.set("Step p50 / p99", `${ms(status.step.p50_us)} / ${ms(status.step.p99_us)}`);
     f.set("Overruns", count(status.overruns), late ? "warn" : "");
@@ -48,7 +50,7 @@ export class StatusPanel {
   }
 
   setRates(frames: number, bytes: number, drawn: number, roundTrip_ms: number | undefined): void {
-    this.#figures.set("Frames", `${frames.toFixed(0)} /s`, frames > 0 && frames < 25 ? "warn" : "", "mesh frames that came in, of one body");
+    this.#figures.set("Frames", `${frames.toFixed(0)} /s`, this.#running && frames < 25 ? "warn" : "", "mesh frames that came in, of one body");
     this.#figures.set("Drawn", `${drawn.toFixed(0)} /s`);
     this.#figures.set("Received", `${(bytes / 1e6).toFixed(2)} MB/s`);
     this.#figures.set("Round trip", roundTrip_ms === undefined ? "–" : `${roundTrip_ms.toFixed(1)} ms`, "", "pose to force, while this page holds a tool");

@@ -67,6 +67,6 @@ export function presetPlace(preset: Preset, axes: SceneAxes, fov_rad: number, as
     case "Top":
       return from(add(up, scale(front, 1e-3)));
     case "Needle":
-      return from(add(add(front, scale(up, 0.6)), scale(along, 0.25)), needle ?? centre, 0.55 * away);
+      return from(add(add(front, scale(up, 0.6)), scale(along, 0.25)), needle ?? centre, 0.6 * away);
   }
 }

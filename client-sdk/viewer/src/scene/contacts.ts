@@ -33,8 +33,8 @@ export class Contacts {
   }
 
   /** `length_m_per_n` scales the arrows. */
-  update(dot_m: number, length_m_per_n: number): boolean {
-    if (this.#shown === this.#latest) return false;
+  update(dot_m: number, length_m_per_n: number): void {
+    if (this.#shown === this.#latest) return;
     this.#shown = this.#latest;
     const points = (this.#latest?.points ?? []).filter((p) => p.force_n > kSilent_n || p.gap_m < dot_m).slice(0, kMost);
     const arrows: Arrow[] = [];
@@ -54,6 +54,5 @@ export class Contacts {
     this.#dots.instanceMatrix.needsUpdate = true;
     if (this.#dots.instanceColor) this.#dots.instanceColor.needsUpdate = true;
     this.#arrows.set(arrows);
-    return true;
   }
 }

@@ -13,8 +13,10 @@ import { Tissue, type TissueProbe } from "./tissue";
 import { Tools, wasLed } from "./tools";
 import type { View } from "./view";
 
-/** A force of one newton is drawn as long as that share of the scene's radius. */
-const kForceLength = 0.9;
+/** Lengths as shares of the scene's radius: the longest force, a newton of contact, a line's radius. */
+const kLongestForce = 0.75;
+const kContactNewton = 0.9;
+const kThin = 0.011;
 const kQuiet_n = 0.02;
 
 export class Stage {
@@ -91,25 +93,23 @@ export class Stage {
     return this.#picked && this.tissue.probe(this.#picked);
   }
 
-  /** Moves everything to the moment on show. Returns whether something moved. */
-  update(now_ms: number): boolean {
+  /** Moves everything to the moment on show. */
+  update(now_ms: number): void {
     const moment_ms = this.#clock.moment_ms(now_ms);
     const { radius } = this.axes;
-    const perNewton = kForceLength * radius;
-    let changed = this.tissue.update(moment_ms, now_ms);
-    changed = this.sutures.update(moment_ms) || changed;
-    changed = this.#contacts.update(0.011 * radius, perNewton) || changed;
-    changed = this.tools.update(moment_ms, perNewton, 0.011 * radius) && changed;
+    this.tissue.update(moment_ms, now_ms);
+    this.sutures.update(moment_ms);
+    this.#contacts.update(kThin * radius, kContactNewton * radius);
+    this.tools.update(moment_ms, kLongestForce * radius, kThin * radius);
     const probe = this.probe();
     this.#marker.visible = probe !== undefined;
     if (probe) {
       this.#marker.position.set(...probe.position_m);
-      this.#marker.scale.setScalar(0.014 * radius);
+      this.#marker.scale.setScalar(1.3 * kThin * radius);
     }
-    return changed;
   }
 
-  /** After drawing: texts beside the tools. */
+  /** Texts beside the tools. */
   label(): void {
     const labels: Label[] = this.tools.views().filter(wasLed).map((view) => {
       const force_n = Math.hypot(...view.force_n);

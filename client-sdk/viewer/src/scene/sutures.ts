@@ -25,7 +25,7 @@ class Strand<T extends Course> {
     this.tube = tube;
   }
 
-  /** Returns the frame drawn and its course, or undefined where nothing moved. */
+  /** Returns whether something moved. */
   update(moment_ms: number, shape: (frame: T) => TubeShape, value?: (frame: T) => ArrayLike<number>): boolean {
     const between = this.timeline.at(moment_ms);
     if (!between) return false;
@@ -79,7 +79,7 @@ export class Sutures {
     this.#punctures.end();
   }
 
-  update(moment_ms: number): boolean {
+  update(moment_ms: number): void {
     let changed = false;
     for (const needle of this.#needles.values())
       changed = needle.update(moment_ms, (f) => ({ radius_m: f.diameter_m / 2, taper_m: 6 * f.diameter_m })) || changed;
@@ -90,14 +90,13 @@ export class Sutures {
     }
     this.tension.observe(tension_n, 1 / 60);
     this.#silk.scalarTop = this.tension.top;
-    if (!changed) return false;
+    if (!changed) return;
     this.#punctures.begin();
     for (const needle of this.#needles.values())
       if (needle.frame) this.#punctures.add(needle.frame.punctures, needle.course, 1.25 * needle.frame.diameter_m);
     for (const thread of this.#threads.values())
       if (thread.frame) this.#punctures.add(thread.frame.punctures, thread.course, 1.5 * thread.frame.diameter_m);
     this.#punctures.end();
-    return true;
   }
 
   /** The newest state of each needle. */

@@ -53,27 +53,26 @@ class Body {
     geometry.boundingSphere.radius *= 2;
   }
 
-  push(frame: MeshFrame): boolean {
-    if (frame.revision !== this.topology.revision || frame.position_m.length !== this.#position.length) return false;
-    this.#timeline.push(stampMs(frame.stamp_ns), frame);
-    return true;
+  /** Takes a frame; one of another revision is none of this body's. */
+  push(frame: MeshFrame): void {
+    if (frame.revision === this.topology.revision && frame.position_m.length === this.#position.length)
+      this.#timeline.push(stampMs(frame.stamp_ns), frame);
   }
 
   get latest(): MeshFrame | undefined {
     return this.#timeline.latest;
   }
 
-  update(moment_ms: number): boolean {
+  update(moment_ms: number): void {
     const between = this.#timeline.at(moment_ms);
-    if (!between) return false;
+    if (!between) return;
     const { before, after, share } = between;
-    if (before === this.#shown.before && after === this.#shown.after && share === this.#shown.share) return false;
+    if (before === this.#shown.before && after === this.#shown.after && share === this.#shown.share) return;
     this.#shown = between;
     mixInto(this.#position, before.position_m, after.position_m, share);
     if (after.von_mises_pa.length === this.#stress.length)
       mixInto(this.#stress, before.von_mises_pa, after.von_mises_pa, share);
     this.#upload();
-    return true;
   }
 
 
@@ -155,9 +154,8 @@ export class Tissue {
     return this.#bodies.size === 0;
   }
 
-  update(moment_ms: number, now_ms: number): boolean {
-    let changed = false;
-    for (const body of this.#bodies.values()) changed = body.update(moment_ms) || changed;
+  update(moment_ms: number, now_ms: number): void {
+    for (const body of this.#bodies.values()) body.update(moment_ms);
     if (now_ms - this.#observed_ms > 250) {
       let top = 0;
       for (const body of this.#bodies.values())
@@ -166,7 +164,6 @@ export class Tissue {
       this.#observed_ms = now_ms;
     }
     this.#material.scalarTop = this.range.top;
-    return changed;
   }
 
   set map(map: ColourMap) {

@@ -5,6 +5,7 @@ import {
 import type { Pose, Quat, Vec3 } from "../maths/vector";
 import { FORCE_ENGAGED, ToolState, type ToolView } from "../protocol/messages";
 import { Arrows, type Arrow } from "./arrows";
+import { AutoRange } from "./colour_map";
 import { steel } from "./matcaps";
 import { stampMs, Timeline } from "./timeline";
 
@@ -37,7 +38,7 @@ class Instrument {
       return mesh;
     };
     const start = kind === "probe" ? kProbe_m : kHinge_m;
-    this.group.add(along(new Mesh(new CylinderGeometry(0.00125, 0.0009, kShaft_m, 24), this.#body), start + kShaft_m / 2));
+    this.group.add(along(new Mesh(new CylinderGeometry(0.0012, 0.0009, kShaft_m, 32), this.#body), start + kShaft_m / 2));
     this.group.add(along(new Mesh(new CylinderGeometry(0.0022, 0.0019, 0.03, 24), accent), start + kShaft_m + 0.013));
     const ring = new Mesh(new TorusGeometry(0.0013, 0.0004, 10, 28), accent);
     ring.position.z = start + 0.004;
@@ -56,7 +57,7 @@ class Instrument {
         this.#jaws.push(jaw);
         this.group.add(jaw);
       }
-      const hinge = new Mesh(new CylinderGeometry(0.0009, 0.0009, 0.0021, 20), accent);
+      const hinge = new Mesh(new CylinderGeometry(0.00085, 0.00085, 0.0022, 24), this.#body);
       hinge.rotation.z = Math.PI / 2;
       hinge.position.z = kHinge_m;
       this.group.add(hinge);
@@ -107,6 +108,9 @@ export class Tools {
   readonly group = new Group();
   readonly #arrows = new Arrows(16);
   readonly #tools = new Map<string, Instrument>();
+  /** The force whose arrow is as long as an arrow gets. */
+  readonly #range = new AutoRange(0.1);
+  #updated_ms = 0;
 
   constructor() {
     this.group.add(this.#arrows.group);
@@ -130,16 +134,18 @@ export class Tools {
     this.#arrows.set([]);
   }
 
-  update(moment_ms: number, length_m_per_n: number, radius_m: number): boolean {
+  /** Arrows are `longest_m` at the end of their scale, which follows the forces. */
+  update(moment_ms: number, longest_m: number, radius_m: number): void {
     const arrows: Arrow[] = [];
-    let changed = false;
+    const largest_n = Math.max(0, ...this.views().map((view) => Math.hypot(...view.force_n)));
+    this.#range.observe(largest_n, Math.min(0.1, Math.max(0, moment_ms - this.#updated_ms) / 1000));
+    this.#updated_ms = moment_ms;
     for (const tool of this.#tools.values()) {
       const between = tool.timeline.at(moment_ms);
       if (!between) continue;
       const { before, after, share } = between;
       tool.group.visible = wasLed(after);
       if (!tool.group.visible) continue;
-      changed = true;
       const position = new Vector3(...before.position_m).lerp(new Vector3(...after.position_m), share);
       const orientation = new Quaternion(...before.orientation_xyzw).slerp(new Quaternion(...after.orientation_xyzw), share);
       tool.place(position, orientation, before.jaw + share * (after.jaw - before.jaw));
@@ -150,13 +156,12 @@ export class Tools {
       if (led && Math.hypot(...force) > kQuiet_n)
         arrows.push({
           from: position.toArray() as Vec3,
-          vector: [...force].map((f) => f * length_m_per_n) as Vec3,
+          vector: [...force].map((f) => (f * longest_m) / this.#range.top) as Vec3,
           radius_m,
           colour: tool.colour,
         });
     }
     this.#arrows.set(arrows);
-    return changed;
   }
 
   /** The newest word on each tool, in the order in which they came. */

@@ -32,10 +32,10 @@ export class View {
   readonly canvas: HTMLCanvasElement;
   readonly #renderer: WebGLRenderer;
   // A warm key that casts shadows, a cool fill beside the camera, a rim from behind, and the sky.
-  readonly #key = new DirectionalLight(0xfff2e6, 2.3);
-  readonly #fill = new DirectionalLight(0xdbe8ff, 0.7);
+  readonly #key = new DirectionalLight(0xfff2e6, 2.0);
+  readonly #fill = new DirectionalLight(0xe6eeff, 1.0);
   readonly #rim = new DirectionalLight(0xbfd4ff, 0.9);
-  readonly #sky = new HemisphereLight(0xe6efff, 0x6b5148, 1.0);
+  readonly #sky = new HemisphereLight(0xe9f0ff, 0x9a8078, 1.25);
   #controls: OrbitControls;
   #awakeUntil_ms = 0;
   #ratio: number;
@@ -57,7 +57,7 @@ export class View {
     this.#renderer = new WebGLRenderer({ canvas, context });
     const plain = !wantsBest() && isSoftware(context);
     this.#renderer.toneMapping = NeutralToneMapping;
-    this.#renderer.toneMappingExposure = 0.9;
+    this.#renderer.toneMappingExposure = 0.86;
     this.#renderer.shadowMap.enabled = !plain;
     this.#renderer.shadowMap.type = PCFShadowMap;
     this.#ratio = plain ? 0.75 : Math.min(devicePixelRatio, 2);
@@ -100,7 +100,7 @@ export class View {
 
   set background(colour: string) {
     const dark = new Color(colour).getHSL({ h: 0, s: 0, l: 0 }).l < 0.5;
-    this.#sky.intensity = dark ? 1.0 : 1.35;
+    this.#sky.intensity = dark ? 1.25 : 1.6;
     this.wake();
   }
 
