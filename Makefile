@@ -9,6 +9,7 @@ BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
   libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev libzstd-dev
 PICTURE_PACKAGES := python3-matplotlib python3-numpy
 TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx iproute2 $(PICTURE_PACKAGES)
+BROWSER_PACKAGES := chromium
 BENCH_PACKAGES := rt-tests
 MESH_PACKAGES := gmsh
 CHECK_PACKAGES := clang clang-format clang-tidy libclang-rt-14-dev
@@ -24,7 +25,7 @@ endef
 
 .PHONY: help
 help: ## List the commands
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
 
 .PHONY: deps-build deps-test deps-check
 deps-build:
@@ -46,15 +47,26 @@ viewer: ## Build the web page that `sutured serve --http` shows
 	  DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq --no-install-recommends nodejs npm >/dev/null; }
 	@cd client-sdk/viewer && npm ci --no-audit --no-fund --silent && npm run --silent build
 
+# What the tests with a browser need besides.
+.PHONY: deps-browser
+deps-browser: viewer
+	$(call install-packages,$(BROWSER_PACKAGES))
+	@cd tests/browser && npm ci --no-audit --no-fund --silent
+
+.PHONY: viewer-picture
+viewer-picture: build deps-browser ## Draw the page in a browser: docs/guide/viewer.png
+	@node tests/browser/picture.mjs docs/guide/viewer.png
+
 RUN_DIR := out/run
 SCENE := server/scenes/anastomosis/scene.toml
 SURGEON := server/scenes/anastomosis/surgeon.csv
 BIN := build/release
 DOMAIN ?= 0
+HTTP ?= 127.0.0.1:8080
 PREFIX ?= /usr/local
 
 .PHONY: run
-run: build ## Run the main job: server, devices that play a surgeon's hands over DDS, plot and summary
+run: build viewer ## Run the main job: server, devices that play a surgeon's hands over DDS, plot and summary
 	@BIN=$(BIN) SCENE=$(SCENE) SURGEON=$(SURGEON) OUT=$(RUN_DIR) DOMAIN=$(DOMAIN) server/scenes/main_job.sh
 
 # Without RUN: the last `make run` where it left a final state, or else the same scene played offline.
@@ -67,15 +79,15 @@ picture: $(if $(RUN),,build) ## Draw the tissue at the end of a run (RUN=DIR) co
 	/usr/bin/python3 server/scenes/picture.py "$$run"
 
 .PHONY: serve
-serve: build ## Serve the anastomosis scene until Ctrl-C
-	@$(BIN)/server/sutured serve $(SCENE) --domain $(DOMAIN)
+serve: build viewer ## Serve the anastomosis scene, with the page at HTTP, until Ctrl-C
+	@$(BIN)/server/sutured serve $(SCENE) --domain $(DOMAIN) --http $(HTTP)
 
 .PHONY: install
 install: build ## Install commands, SDK and licences below PREFIX
 	@cmake --install build/release --prefix $(PREFIX) >/dev/null && echo "installed below $(PREFIX)"
 
 .PHONY: test
-test: deps-test ## Build and run every test
+test: deps-test deps-browser ## Build and run every test
 	@cmake --preset dev >/dev/null
 	@cmake --build --preset dev
 	@ctest --preset dev --progress

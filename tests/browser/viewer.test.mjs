@@ -82,9 +82,9 @@ describe("the viewer", { timeout: 240_000 }, () => {
   it("pauses, resumes, and resets when asked twice", async () => {
     const opened = await page();
     await opened.getByRole("button", { name: "Pause" }).click();
-    await opened.getByText("paused", { exact: true }).waitFor();
+    await opened.locator("#connection", { hasText: "paused" }).waitFor();
     await opened.getByRole("button", { name: "Resume" }).click();
-    await opened.getByText("live", { exact: true }).waitFor();
+    await opened.locator("#connection", { hasText: "live" }).waitFor();
     await opened.getByRole("button", { name: "Reset" }).click();
     await opened.getByRole("button", { name: "Really reset?" }).click();
     await event(opened, "Reset");

@@ -188,7 +188,7 @@ export class Session implements HandOutput {
     this.#request += 1n;
     this.#publish(3, {
       requester: kNobody, epoch: this.#epoch, request: this.#request, stamp_ns: this.#stamp(), kind, tool,
-      requester_name: "viewer",
+      requester_name: "viewer", checkpoint: "", seconds: 0,
     });
   }
 

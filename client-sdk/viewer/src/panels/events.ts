@@ -15,13 +15,14 @@ const kTexts: Record<EventKind, string> = {
   [EventKind.Fault]: "fault", [EventKind.Recovered]: "recovered",
   [EventKind.Paused]: "paused", [EventKind.Resumed]: "resumed", [EventKind.Reset]: "reset", [EventKind.Stopped]: "stopped", [EventKind.Started]: "started",
   [EventKind.Overrun]: "overrun", [EventKind.Notice]: "notice",
+  [EventKind.Checkpoint]: "state kept as", [EventKind.Rewound]: "another state was put in place",
 };
 
 const kBad = new Set([EventKind.Fault, EventKind.Solver, EventKind.Tear, EventKind.Stopped, EventKind.ToolInUse]);
 const kWarn = new Set([EventKind.Limit, EventKind.GripSlip, EventKind.Overrun, EventKind.Unthread]);
 const kNeedle = new Set([EventKind.Puncture, EventKind.Exit, EventKind.Retract]);
 /** Whose text is for people already and says more than ours. */
-const kTextFirst = new Set([EventKind.Fault, EventKind.Limit, EventKind.Solver, EventKind.Overrun, EventKind.Notice, EventKind.Stopped]);
+const kTextFirst = new Set([EventKind.Fault, EventKind.Limit, EventKind.Solver, EventKind.Overrun, EventKind.Notice, EventKind.Stopped, EventKind.Rewound]);
 
 /** Returns one line on what happened. */
 export function eventText(event: ServerEvent): string {

@@ -40,11 +40,12 @@ export enum EventKind {
   Paused, Resumed, Reset, Stopped, Started,
   Overrun,
   Notice,
+  Checkpoint, Rewound,
 }
 
 export enum ServerState { Starting, Running, Paused, Stopped, Leaving }
 
-export enum CommandKind { Pause, Resume, Reset, Stop, ReleaseTool }
+export enum CommandKind { Pause, Resume, Reset, Stop, ReleaseTool, Checkpoint, Rewind, Restore }
 
 export enum CommandResult { Done, Refused, NotSupported }
 
