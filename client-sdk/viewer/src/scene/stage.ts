@@ -2,8 +2,7 @@
 // Everything that is drawn, fed by the session's messages.
 import { Mesh, MeshBasicMaterial, SphereGeometry } from "three";
 import type { Link } from "../connection/link";
-import { add, scale, type Pose, type Vec3 } from "../maths/vector";
-import { shaftAlong } from "../maths/vector";
+import { add, normalized, scale, shaftAlong, type Pose, type Vec3 } from "../maths/vector";
 import { kPresets, presetPlace, sceneAxes, type Preset, type SceneAxes } from "./cameras";
 import { Contacts } from "./contacts";
 import { Labels, type Label } from "./labels";
@@ -74,11 +73,11 @@ export class Stage {
     this.#view.goTo(presetPlace(preset, this.axes, this.#view.fov_rad, this.#view.aspect, this.#needleAt()), fly);
   }
 
-  /** Where a tool that was never led begins: beside the scene, its shaft towards whoever looks. */
+  /** Where a tool that was never led begins: before the scene, held from above and a little from the eye. */
   startPose(): Pose {
     const { centre, radius, up, front } = this.axes;
-    const { back } = this.#view.axes();
-    return { position: add(centre, add(scale(front, 0.8 * radius), scale(up, 0.35 * radius))), orientation: shaftAlong(back, up) };
+    const shaft = normalized(add(up, scale(this.#view.axes().back, 0.4)));
+    return { position: add(centre, add(scale(front, 0.8 * radius), scale(up, 0.35 * radius))), orientation: shaftAlong(shaft, front) };
   }
 
   pick(clientX: number, clientY: number): void {
