@@ -4,16 +4,23 @@
 # tools over DDS and feel the forces. Leaves what the hands felt in $OUT (plot, log, summary), what became of the
 # tissue in $OUT/scene (final.vtk, summary.json), and ends with 0 if everything did.
 #
+# The page is at HTTP, by default at any free port of this machine.
+#
 #   BIN=build/release SCENE=…/scene.toml SURGEON=…/surgeon.csv OUT=out/run server/scenes/main_job.sh
 set -euo pipefail
 : "${BIN:?folder of the binaries}" "${SCENE:?}" "${SURGEON:?}" "${OUT:?}"
 domain=${DOMAIN:-0}
 mkdir -p "$OUT"
 
-"$BIN/server/sutured" serve "$SCENE" --domain "$domain" --out "$OUT/scene" >"$OUT/server.log" 2>&1 &
+"$BIN/server/sutured" serve "$SCENE" --domain "$domain" --http "${HTTP:-127.0.0.1:0}" --out "$OUT/scene" >"$OUT/server.log" 2>&1 &
 server=$!
 trap 'kill -INT $server 2>/dev/null || true; wait $server 2>/dev/null || true' EXIT
 
+until address=$(grep -o 'viewer at .*' "$OUT/server.log"); do
+  kill -0 $server 2>/dev/null || { echo "the server did not start:"; cat "$OUT/server.log"; exit 1; }
+  sleep 0.1
+done
+echo "$address"
 echo "viewers and recorders join on DDS domain $((domain + 1)); rates and latencies: suture top --domain $domain"
 # It waits for the server by itself, and says why if none comes. Before the last hand lets go the scene is paused: there is
 # no knot yet, and the suture would open.
