@@ -85,7 +85,7 @@ class ByteSink {
     static_assert(std::is_integral_v<T>);
     bytes({reinterpret_cast<const std::byte*>(&value), sizeof value});
   }
-  void put(Opcode opcode) { put(static_cast<std::uint8_t>(opcode)); }
+  void put(Opcode opcode) { bytes_.push_back(static_cast<std::byte>(opcode)); }
   void bytes(std::span<const std::byte> more) {
     bytes_.insert(bytes_.end(), more.begin(), more.end());
   }
