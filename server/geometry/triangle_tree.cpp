@@ -132,6 +132,20 @@ void TriangleTree::fit_cones(std::span<const Vec3> normals,
   }
 }
 
+namespace {
+
+/// Returns up to what a squared distance is the same but for rounding.
+double with_ties(double squared_m2) noexcept { return squared_m2 * (1.0 + 1e-9) + 1e-30; }
+
+/// Returns the squared distance, along the triangle's normal, that `d` spans; 0 without an area.
+double squared_plane_distance(const Vec3& d, const Vec3& a, const Vec3& b, const Vec3& c) noexcept {
+  const Vec3 normal = (b - a).cross(c - a);
+  const double squared_length = normal.squaredNorm(), along = normal.dot(d);
+  return squared_length > 0.0 ? along * along / squared_length : 0.0;
+}
+
+}  // namespace
+
 std::optional<SurfacePoint> TriangleTree::nearest(const Vec3& p, double radius_m,
                                                   std::span<const Vec3> vertices_m) const noexcept {
   if (nodes_.empty()) return std::nullopt;
@@ -146,10 +160,10 @@ std::optional<SurfacePoint> TriangleTree::nearest(const Vec3& p, double radius_m
   std::size_t depth = 0;
   stack[depth++] = {0, squared_distance(0)};
   SurfacePoint best;
-  double best_squared = radius_m * radius_m;
+  double best_squared = radius_m * radius_m, best_facing = 0.0;
   while (depth > 0) {
     const Pending pending = stack[--depth];
-    if (pending.squared_distance > best_squared) continue;
+    if (pending.squared_distance > with_ties(best_squared)) continue;
     const Node& node = nodes_[static_cast<std::size_t>(pending.node)];
     if (node.right != 0) {
       Pending near{pending.node + 1, squared_distance(pending.node + 1)};
@@ -161,18 +175,28 @@ std::optional<SurfacePoint> TriangleTree::nearest(const Vec3& p, double radius_m
     }
     for (std::int32_t i = node.first; i < node.first + node.count; ++i) {
       const std::int32_t t = order_[static_cast<std::size_t>(i)];
-      if (boxes_[static_cast<std::size_t>(t)].squaredExteriorDistance(p) > best_squared) continue;
+      if (boxes_[static_cast<std::size_t>(t)].squaredExteriorDistance(p) > with_ties(best_squared))
+        continue;
       const Triangle& triangle = triangles_[static_cast<std::size_t>(t)];
-      const ClosestPoint closest =
-          closest_point_on_triangle(p, vertices_m[static_cast<std::size_t>(triangle[0])],
-                                    vertices_m[static_cast<std::size_t>(triangle[1])],
-                                    vertices_m[static_cast<std::size_t>(triangle[2])]);
+      const Vec3& a = vertices_m[static_cast<std::size_t>(triangle[0])];
+      const Vec3& b = vertices_m[static_cast<std::size_t>(triangle[1])];
+      const Vec3& c = vertices_m[static_cast<std::size_t>(triangle[2])];
+      const ClosestPoint closest = closest_point_on_triangle(p, a, b, c);
       const double squared = closest.squared_distance_m2;
-      const bool wins_tie = squared == best_squared && (best.triangle < 0 || t < best.triangle);
-      if (squared < best_squared || wins_tie) {
-        best = {t, closest};
-        best_squared = squared;
+      if (squared > (best.triangle < 0 ? best_squared : with_ties(best_squared))) continue;
+      const double facing = squared_plane_distance(p - closest.point_m, a, b, c);
+      const bool ties = best.triangle >= 0 && with_ties(squared) >= best_squared;
+      if (ties) {
+        const bool faces_alike =
+            facing <= with_ties(best_facing) && best_facing <= with_ties(facing);
+        if (faces_alike ? t > best.triangle : facing < best_facing) {
+          best_squared = std::min(best_squared, squared);
+          continue;
+        }
       }
+      best = {t, closest};
+      best_squared = ties ? std::min(best_squared, squared) : squared;
+      best_facing = facing;
     }
   }
   if (best.triangle < 0) return std::nullopt;

@@ -69,8 +69,12 @@ class TriangleTree {
   void for_each_opposing(const Box& box, std::span<const DirectionCone> cones,
                          const DirectionCone& own, double cosine_max, Visit&& visit) const;
 
-  /// Returns the surface's point nearest to `p` if one lies within `radius_m`; the lower triangle
-  /// index wins a tie. `vertices_m` are those of the last refit. Allocates: never.
+  /// Returns the surface's point nearest to `p` if one lies within `radius_m`. Of the triangles
+  /// that share an edge or a vertex nearest to `p`, it is the one whose plane is farthest from it:
+  /// its side of the plane tells inside from outside, and its plane's distance is closest to that
+  /// of the point. The lower index wins where these are equal too. Distances that differ by
+  /// rounding only, 1e-9 of their squares, are equal. `vertices_m` are those of the last refit.
+  /// Allocates: never.
   [[nodiscard]] std::optional<SurfacePoint> nearest(
       const Vec3& p, double radius_m, std::span<const Vec3> vertices_m) const noexcept;
 

@@ -154,6 +154,26 @@ TEST(TriangleTree, LowerTriangleWinsATie) {
   EXPECT_EQ(tree.nearest({0.2, 0.2, 1.0}, 2.0, x)->triangle, 0);
 }
 
+TEST(TriangleTree, OfTheTrianglesAtAnEdgeTheOneFarthestFromThePointIsNearest) {
+  // A rim: a wall that faces +x and a cap that faces +z meet along y, in both orders. Points in
+  // front of the wall and hardly above the cap's plane are nearest to that edge.
+  const std::vector<Vec3> x{{0, 0, 0}, {0, 1, 0}, {0, 0, -1}, {-1, 0, 0}};
+  const Triangle wall{0, 2, 1}, cap{0, 1, 3};
+  std::mt19937_64 random(12);
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  for (const auto& triangles :
+       {std::vector<Triangle>{wall, cap}, std::vector<Triangle>{cap, wall}}) {
+    const TriangleTree tree(triangles, x);
+    for (int i = 0; i < 1000; ++i) {
+      const double off_wall = 0.1 + uniform(random), above_cap = 0.09 * uniform(random);
+      const Vec3 p(off_wall, 0.1 + 0.8 * uniform(random), above_cap);
+      const auto nearest = tree.nearest(p, 2.0, x);
+      ASSERT_TRUE(nearest.has_value());
+      EXPECT_EQ(triangles[static_cast<std::size_t>(nearest->triangle)], wall) << p.transpose();
+    }
+  }
+}
+
 TEST(TriangleTree, WithoutTrianglesFindsNothing) {
   const TriangleTree tree;
   EXPECT_FALSE(tree.nearest(Vec3::Zero(), 1e9, {}).has_value());
