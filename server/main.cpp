@@ -7,8 +7,10 @@
 #include "commands/check_command.hpp"
 #include "commands/run_command.hpp"
 #include "commands/serve_command.hpp"
+#include "fem/blas_kernels.hpp"
 
 int main(int argc, char** argv) {
+  sutured::fem::use_best_blas_kernels(argv);
   CLI::App app("sutured: a haptic server for suturing simulation", "sutured");
   app.set_version_flag("--version", SUTURED_VERSION);
   app.require_subcommand(1);

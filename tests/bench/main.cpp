@@ -8,6 +8,7 @@
 #include <thread>
 
 #include "bench/figures.hpp"
+#include "fem/blas_kernels.hpp"
 
 namespace {
 
@@ -17,13 +18,15 @@ std::string machine() {
   while (std::getline(file, line))
     if (line.starts_with("model name"))
       return line.substr(line.find(": ") + 2) + ", " +
-             std::to_string(std::thread::hardware_concurrency()) + " processors";
+             std::to_string(std::thread::hardware_concurrency()) + " processors, BLAS kernels " +
+             std::string(sutured::fem::blas_kernels());
   return "unknown";
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
+  sutured::fem::use_best_blas_kernels(argv);
   CLI::App app("Measures the budgets and writes them as one flat JSON object");
   std::string out = "results.json", commit = "unknown";
   std::vector<std::string> only;
