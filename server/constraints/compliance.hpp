@@ -122,7 +122,7 @@ class Compliance {
   std::vector<double> row_times_g_;        ///< T = C G, rows padded by one
   std::vector<Vec3> force_n_;              ///< per slot: Cᵀ λ
   std::vector<int> loaded_;                ///< slots with a force
-  std::vector<double> forward_;
+  std::vector<fem::PathLoad> loads_;
   ComplianceMatrix w_;
 };
 

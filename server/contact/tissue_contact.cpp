@@ -41,6 +41,8 @@ constexpr double kComplianceTimesModulus = 2e-5 * 2e5;
 // How far a row that carries force goes to its pair's present normal in a step.
 constexpr double kRelaxation = 0.5;
 constexpr double kRestBehind_m = 1e-6;
+// Nothing is known of what is near: look at once.
+constexpr double kUnknown = -std::numeric_limits<double>::infinity();
 
 std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
@@ -61,8 +63,8 @@ TissueContact::TissueContact(const geometry::BoundarySurface& surface, std::span
       normals_(surface.triangles.size()),
       near_vertex_(features_.vertices().size()),
       near_edge_(features_.edges().size()),
-      vertex_due_(features_.vertices().size()),
-      edge_due_(features_.edges().size()),
+      vertex_left_m_(features_.vertices().size()),
+      edge_left_m_(features_.edges().size()),
       vertex_clear_(features_.vertices().size()),
       edge_clear_(features_.edges().size()) {
   for (const SurfaceEdge& edge : features_.edges())
@@ -75,8 +77,8 @@ TissueContact::TissueContact(const geometry::BoundarySurface& surface, std::span
 }
 
 void TissueContact::reset() {
-  std::fill(vertex_due_.begin(), vertex_due_.end(), -1.0);
-  std::fill(edge_due_.begin(), edge_due_.end(), -1.0);
+  std::fill(vertex_left_m_.begin(), vertex_left_m_.end(), kUnknown);
+  std::fill(edge_left_m_.begin(), edge_left_m_.end(), kUnknown);
   std::fill(vertex_clear_.begin(), vertex_clear_.end(), far_m_);
   std::fill(edge_clear_.begin(), edge_clear_.end(), far_m_);
   for (auto& list : near_vertex_) list.clear();
@@ -87,6 +89,7 @@ void TissueContact::reset() {
   known_.clear();
   last_m_.clear();
   moved_m_.assign(rest_m_.size(), Vec3::Zero());
+  way_m_.assign(rest_m_.size(), 0.0);
   motion_m_ = speed_m_ = 0.0;
   reach_m_ = kReachShort_m;
   slow_steps_ = 0;
@@ -95,10 +98,10 @@ void TissueContact::reset() {
 
 void TissueContact::serialize(Archive& archive) {
   // Given by the scene: surface … far. Of one call, or made anew at the start of one: normals,
-  // cones, known, first_row.
+  // way, cones, known, first_row.
   auto& [surface, features, rest, rest_normals, tissue_of_triangle, young_modulus, edge_length, far,
-         last, normals, reach, slow_steps, moved, motion, chosen_at, speed, cones, near_vertex,
-         near_edge, vertex_due, edge_due, vertex_clear, edge_clear, close_vertices, close_edges,
+         last, normals, reach, slow_steps, moved, way, motion, chosen_at, speed, cones, near_vertex,
+         near_edge, vertex_left, edge_left, vertex_clear, edge_clear, close_vertices, close_edges,
          pairs, known, first_row] = *this;
   if (archive.reads()) reset();
   archive(last, reach, slow_steps, motion, chosen_at, speed, pairs);
@@ -106,8 +109,8 @@ void TissueContact::serialize(Archive& archive) {
   if (archive.keeps_caches()) {
     archive.fixed(near_vertex);
     archive.fixed(near_edge);
-    archive.fixed(vertex_due);
-    archive.fixed(edge_due);
+    archive.fixed(vertex_left);
+    archive.fixed(edge_left);
     archive.fixed(vertex_clear);
     archive.fixed(edge_clear);
   }
@@ -225,23 +228,24 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
   const auto look_for = [&](double clear) {
     return reach_m_ + std::clamp(1.2 * clear, near, std::max(near, far_m_));
   };
-  // Not all look again at once.
-  const auto spread = [](std::size_t i) {
-    return 0.5 + 0.5 * static_cast<double>((i * 2654435761U) % 1024U) / 1024.0;
+  // Those that all looked at once do not all look again at once.
+  const auto share = [](std::size_t i, double left) {
+    return left == kUnknown ? 0.5 + 0.5 * static_cast<double>((i * 2654435761U) % 1024U) / 1024.0
+                            : 1.0;
   };
   const auto vertices = features_.vertices();
   const auto facing = [&](std::int32_t a, std::int32_t b) {
     return normals_[at(a)].dot(normals_[at(b)]) < kFacingCosine;
   };
   // Features of one smooth surface do not face each other: most of the tree is passed over.
-  const auto due = [&](const std::vector<double>& at_m) {
-    return std::any_of(at_m.begin(), at_m.end(), [&](double d) { return d <= motion_m_; });
+  const auto due = [&](const std::vector<double>& left_m) {
+    return std::any_of(left_m.begin(), left_m.end(), [](double left) { return left <= 0.0; });
   };
-  if (!due(vertex_due_) && !due(edge_due_)) return;
+  if (!due(vertex_left_m_) && !due(edge_left_m_)) return;
   tree.fit_cones(normals_, cones_);
   bool changed = false;
   for (std::size_t i = 0; i < vertices.size(); ++i) {
-    if (vertex_due_[i] > motion_m_) continue;
+    if (vertex_left_m_[i] > 0.0) continue;
     changed = true;
     near_vertex_[i].clear();
     const double within = look_for(vertex_clear_[i]);
@@ -250,14 +254,13 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
       if (distance <= kept) near_vertex_[i].push_back(t);
       nearest = std::min(nearest, distance);
     });
-    // What is kept holds for half the margin; where nothing is near, for half of what is clear.
     vertex_clear_[i] = near_vertex_[i].empty() ? nearest - reach_m_ : kMargin_m;
-    vertex_due_[i] = motion_m_ + 0.5 * spread(i) * vertex_clear_[i];
+    vertex_left_m_[i] = share(i, vertex_left_m_[i]) * vertex_clear_[i];
     std::sort(near_vertex_[i].begin(), near_vertex_[i].end());
   }
   const auto edges = features_.edges();
   for (std::size_t i = 0; i < edges.size(); ++i) {
-    if (edge_due_[i] > motion_m_) continue;
+    if (edge_left_m_[i] > 0.0) continue;
     changed = true;
     const SurfaceEdge& edge = edges[i];
     const Vec3 &a = positions_m[at(edge.vertices[0])], &b = positions_m[at(edge.vertices[1])];
@@ -291,7 +294,7 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
       }
     });
     edge_clear_[i] = near_edge_[i].empty() ? nearest - reach_m_ : kMargin_m;
-    edge_due_[i] = motion_m_ + 0.5 * spread(i) * edge_clear_[i];
+    edge_left_m_[i] = share(i, edge_left_m_[i]) * edge_clear_[i];
     std::sort(near_edge_[i].begin(), near_edge_[i].end());
     near_edge_[i].erase(std::unique(near_edge_[i].begin(), near_edge_[i].end()),
                         near_edge_[i].end());
@@ -397,28 +400,43 @@ void TissueContact::choose(std::span<const Vec3> positions_m) {
   chosen_at_m_ = motion_m_;
 }
 
-void TissueContact::update(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree) {
+/// Notes what moved since the last update, and what that leaves to each feature until it looks.
+void TissueContact::note_motion(std::span<const Vec3> positions_m) {
   const auto vertices = features_.vertices();
   if (last_m_.empty()) {
     for (const auto v : vertices) last_m_.push_back(positions_m[at(v)]);
-  } else {
-    double squared = 0.0;
-    for (std::size_t i = 0; i < vertices.size(); ++i) {
-      squared = std::max(squared, (positions_m[at(vertices[i])] - last_m_[i]).squaredNorm());
-      moved_m_[at(vertices[i])] = positions_m[at(vertices[i])] - last_m_[i];
-      last_m_[i] = positions_m[at(vertices[i])];
-    }
-    speed_m_ = std::sqrt(squared);
-    motion_m_ += speed_m_;
-    if (reach_m_ < kReachLong_m && speed_m_ > kReachSpeedShare * kReachShort_m) {
-      reach_m_ = kReachLong_m;
-      std::fill(vertex_due_.begin(), vertex_due_.end(), -1.0);
-      std::fill(edge_due_.begin(), edge_due_.end(), -1.0);
-    }
-    // What is known of the long reach holds for the short one too.
-    slow_steps_ = speed_m_ < 0.5 * kReachSpeedShare * kReachShort_m ? slow_steps_ + 1 : 0;
-    if (slow_steps_ > kSlowSteps) reach_m_ = kReachShort_m;
+    return;
   }
+  speed_m_ = 0.0;
+  for (std::size_t i = 0; i < vertices.size(); ++i) {
+    const auto v = at(vertices[i]);
+    moved_m_[v] = positions_m[v] - last_m_[i];
+    last_m_[i] = positions_m[v];
+    way_m_[v] = moved_m_[v].norm();
+    speed_m_ = std::max(speed_m_, way_m_[v]);
+  }
+  motion_m_ += speed_m_;
+  // It comes closer to another by no more than both ways: no point of an edge moves farther than
+  // one of its ends.
+  for (std::size_t i = 0; i < vertices.size(); ++i)
+    vertex_left_m_[i] -= speed_m_ + way_m_[at(vertices[i])];
+  const auto edges = features_.edges();
+  for (std::size_t i = 0; i < edges.size(); ++i)
+    edge_left_m_[i] -=
+        speed_m_ + std::max(way_m_[at(edges[i].vertices[0])], way_m_[at(edges[i].vertices[1])]);
+
+  if (reach_m_ < kReachLong_m && speed_m_ > kReachSpeedShare * kReachShort_m) {
+    for (double& left_m : vertex_left_m_) left_m -= kReachLong_m - reach_m_;
+    for (double& left_m : edge_left_m_) left_m -= kReachLong_m - reach_m_;
+    reach_m_ = kReachLong_m;
+  }
+  // What is known of the long reach holds for the short one too.
+  slow_steps_ = speed_m_ < 0.5 * kReachSpeedShare * kReachShort_m ? slow_steps_ + 1 : 0;
+  if (slow_steps_ > kSlowSteps) reach_m_ = kReachShort_m;
+}
+
+void TissueContact::update(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree) {
+  note_motion(positions_m);
   renew_normals(positions_m);
   search(positions_m, tree);
   if (chosen_at_m_ < 0.0 || motion_m_ - chosen_at_m_ > kChoose_m) {

@@ -13,8 +13,9 @@
 //                 behind the common perpendicular: the normal is in the normal cones of both
 //
 // Broad phase: each vertex and edge keeps the features within its reach and a margin, and looks
-// again when the surfaces have moved by half the margin. It passes over those that cannot face it,
-// by cones around the normals below each node of the tree: all of a smooth surface, at a glance.
+// again when its own way and the longest of all together have used up the margin; where nothing is
+// near, what was clear when it last looked. It passes over those that cannot face it, by cones
+// around the normals below each node of the tree: all of a smooth surface, at a glance.
 // Choice: made anew when the surfaces have moved by kChoose_m since the last, of what is near
 // enough to close within two steps of its own motion; a pair that carried force stays on looser
 // terms, and only one that was known before may be deep: surfaces meet from outside. So still
@@ -100,6 +101,7 @@ class TissueContact {
   template <typename Visit>
   void for_each_facing(std::int32_t vertex, double radius_m, std::span<const Vec3> positions_m,
                        const geometry::TriangleTree& tree, Visit&& visit) const;
+  void note_motion(std::span<const Vec3> positions_m);
   void search(std::span<const Vec3> positions_m, const geometry::TriangleTree& tree);
   void list_close();
   void choose(std::span<const Vec3> positions_m);
@@ -128,10 +130,11 @@ class TissueContact {
   double reach_m_ = 0.0;                ///< no pair is farther apart
   int slow_steps_ = 0;                  ///< in a row
   std::vector<Vec3> moved_m_;           ///< per vertex of the mesh: in the last step
+  std::vector<double> way_m_;           ///< its length
   double motion_m_ = 0.0, chosen_at_m_ = -1.0, speed_m_ = 0.0;
   std::vector<geometry::DirectionCone> cones_;  ///< per node of the tree
   std::vector<std::vector<std::int32_t>> near_vertex_, near_edge_;
-  std::vector<double> vertex_due_, edge_due_;              ///< motion_m_ at which to look again
+  std::vector<double> vertex_left_m_, edge_left_m_;        ///< to move before it looks again
   std::vector<double> vertex_clear_, edge_clear_;          ///< beyond the reach, when last looked
   std::vector<std::size_t> close_vertices_, close_edges_;  ///< with candidates
   std::vector<Pair> pairs_, known_;                        ///< now; of the choice before, by key

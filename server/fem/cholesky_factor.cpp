@@ -7,12 +7,10 @@
 #include <array>
 #include <cmath>
 #include <cstring>
-#include <optional>
 #include <random>
 #include <string>
-#include <system_error>
-#include <thread>
 
+#include "fem/in_two_threads.hpp"
 #include "fem/simd_kernel.hpp"
 
 extern "C" {
@@ -256,7 +254,10 @@ struct CholeskyFactor::Impl {
   /// depend on each other; all in `near_roots` where L is small.
   std::vector<std::int32_t> near_roots;
   std::array<std::vector<std::int32_t>, 2> shares;
-  mutable std::array<std::vector<double>, 2> panels;  ///< workspaces of `backward`, one a thread
+  std::vector<int> share_of;  ///< per supernode: −1 near a root, or its share
+  // Workspaces of `backward`: right-hand side, then unknowns; a panel for each thread.
+  mutable std::vector<double> unknowns;
+  mutable std::array<std::vector<double>, 2> panels;
   // A copy of K for the condition estimate and residuals.
   std::vector<std::int64_t> column_start, row;
   std::vector<double> value;
@@ -278,7 +279,8 @@ struct CholeskyFactor::Impl {
   [[nodiscard]] const double* values() const { return static_cast<const double*>(factor->x); }
 
   void share_backward(std::int64_t shared_values);
-  void backward(std::span<const std::int32_t> supernodes, double* x, double* z) const;
+  void accumulate(std::span<const PathLoad> loads, int share) const;
+  void backward(std::span<const std::int32_t> supernodes, double* z) const;
 
   [[nodiscard]] std::int32_t common_ancestor(std::int32_t a, std::int32_t b) const {
     if (a < 0 || b < 0) return -1;
@@ -371,6 +373,7 @@ CholeskyFactor::CholeskyFactor(const LinearSystem& system, std::int64_t shared_v
     m.level[s] = m.level[static_cast<std::size_t>(up)] + 1;
   }
   for (auto& panel : m.panels) panel.resize(static_cast<std::size_t>(m.panel_rows_max));
+  m.unknowns.resize(static_cast<std::size_t>(m.size));
   m.share_backward(shared_values);
   m.inverse_diagonal.resize(static_cast<std::size_t>(m.size));
   for (std::size_t s = 0; s < supernodes; ++s) {
@@ -618,15 +621,18 @@ void CholeskyFactor::inverse_blocks(std::span<const PathColumns* const> a,
   }
 }
 
-void CholeskyFactor::accumulate(const PathColumns& columns, const Vec3& force_n,
-                                std::span<double> y) const {
-  const Impl& m = *impl_;
-  for (std::int32_t s = columns.first_supernode; s >= 0;
-       s = m.parent[static_cast<std::size_t>(s)]) {
-    const auto i = static_cast<std::size_t>(s);
-    add_three_columns(columns.value.data() + (columns.length - m.columns_to_root[i]),
-                      columns.length, force_n.data(), m.super()[i + 1] - m.super()[i],
-                      y.data() + m.super()[i]);
+/// Sums the columns of the loads, where they pass through supernodes of `share`.
+void CholeskyFactor::Impl::accumulate(std::span<const PathLoad> loads, int share) const {
+  for (const PathLoad& load : loads) {
+    const PathColumns& columns = *load.columns;
+    for (std::int32_t s = columns.first_supernode; s >= 0;
+         s = parent[static_cast<std::size_t>(s)]) {
+      const auto i = static_cast<std::size_t>(s);
+      if (share_of[i] != share) continue;
+      add_three_columns(columns.value.data() + (columns.length - columns_to_root[i]),
+                        columns.length, load.force_n.data(), super()[i + 1] - super()[i],
+                        unknowns.data() + super()[i]);
+    }
   }
 }
 
@@ -647,7 +653,7 @@ void CholeskyFactor::Impl::share_backward(std::int64_t shared_values) {
     children[static_cast<std::size_t>(parent[s])].push_back(static_cast<std::int32_t>(s));
   }
   const auto total = static_cast<std::int64_t>(factor->xsize);
-  std::vector<int> share_of(count, 0);  // −1: near a root
+  share_of.assign(count, 0);
   if (total >= shared_values) {
     const auto smaller = [&](std::int32_t a, std::int32_t b) {
       return std::pair(below[static_cast<std::size_t>(a)], a) <
@@ -679,9 +685,9 @@ void CholeskyFactor::Impl::share_backward(std::int64_t shared_values) {
 }
 
 /// Solves for the unknowns of `supernodes`, in their order; `z` is a workspace.
-void CholeskyFactor::Impl::backward(std::span<const std::int32_t> supernodes, double* x,
-                                    double* z) const {
+void CholeskyFactor::Impl::backward(std::span<const std::int32_t> supernodes, double* z) const {
   const Impl& m = *this;
+  double* x = unknowns.data();
   // In z: a supernode's own unknowns, then those below it.
   for (const std::int32_t supernode : supernodes) {
     const auto s = static_cast<std::size_t>(supernode);
@@ -717,24 +723,22 @@ void CholeskyFactor::Impl::backward(std::span<const std::int32_t> supernodes, do
   }
 }
 
-void CholeskyFactor::backward(std::span<double> y, std::span<const double> offset,
+void CholeskyFactor::backward(std::span<const PathLoad> loads, std::span<const double> offset,
                               std::span<double> u) const {
   const Impl& m = *impl_;
-  double* x = y.data();
-  m.backward(m.near_roots, x, m.panels[0].data());
+  std::fill(m.unknowns.begin(), m.unknowns.end(), 0.0);
+  m.accumulate(loads, -1);
+  m.backward(m.near_roots, m.panels[0].data());
   if (!m.shares[1].empty()) {
-    const auto other = [&] { m.backward(m.shares[1], x, m.panels[1].data()); };
-    std::optional<std::thread> helper;
-    try {
-      helper.emplace(other);
-    } catch (const std::system_error&) {  // no more threads here
-      other();
-    }
-    m.backward(m.shares[0], x, m.panels[0].data());
-    if (helper) helper->join();
+    const auto take = [&](std::size_t share) {
+      m.accumulate(loads, static_cast<int>(share));
+      m.backward(m.shares[share], m.panels[share].data());
+    };
+    in_two_threads([&] { take(0); }, [&] { take(1); });
   }
   for (std::size_t dof = 0; dof < m.position.size(); ++dof)
-    u[dof] = offset[dof] + (m.position[dof] >= 0 ? x[m.position[dof]] : 0.0);
+    u[dof] = offset[dof] +
+             (m.position[dof] >= 0 ? m.unknowns[static_cast<std::size_t>(m.position[dof])] : 0.0);
 }
 
 double CholeskyFactor::read_once() const { return sum_of(impl_->values(), stored_values()); }

@@ -38,6 +38,12 @@ struct PathColumns {
   std::vector<double> value;          ///< 3 × length, one column after the other
 };
 
+/// A force (N) on a walked vertex.
+struct PathLoad {
+  const PathColumns* columns = nullptr;
+  Vec3 force_n = Vec3::Zero();
+};
+
 /// The supernodal Cholesky factor of a LinearSystem: immutable once made, shared between threads.
 class CholeskyFactor {
  public:
@@ -79,15 +85,13 @@ class CholeskyFactor {
   void inverse_blocks(std::span<const PathColumns* const> a, std::span<const PathColumns* const> b,
                       std::vector<double>& block) const;
 
-  /// Adds L⁻¹ P Eᵥ f to `y` (size()), f a force (N) on the walked vertex.
-  void accumulate(const PathColumns& columns, const Vec3& force_n, std::span<double> y) const;
-
-  /// Solves Lᵀ P u = y for all vertices and adds `offset`: u[3v + axis] for free degrees of
-  /// freedom, `offset` alone for prescribed ones. `y` is destroyed.
-  /// Thread: one per factor. Cost: reading L once. From `shared_values` of L on, a second thread
-  /// that ends with the call takes one half of what lies below the uppermost separators: the values
-  /// are the same to the bit. Only there it allocates (that thread).
-  void backward(std::span<double> y, std::span<const double> offset, std::span<double> u) const;
+  /// Solves Lᵀ P u = Σ yᵥ fᵥ over the loads, for all vertices, and adds `offset`: u[3v + axis] for
+  /// free degrees of freedom, `offset` alone for prescribed ones.
+  /// Thread: one per factor. Cost: reading the loads' columns and L once. From `shared_values` of L
+  /// on, a second thread that ends with the call takes one half of what lies below the uppermost
+  /// separators: the values are the same to the bit. Only there it allocates (that thread).
+  void backward(std::span<const PathLoad> loads, std::span<const double> offset,
+                std::span<double> u) const;
 
   /// Sums the values of L: what the memory alone costs, for benchmarks.
   [[nodiscard]] double read_once() const;

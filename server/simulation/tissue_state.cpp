@@ -5,10 +5,14 @@
 #include <utility>
 
 #include "fem/cholesky_factor.hpp"
+#include "fem/in_two_threads.hpp"
 #include "scene/scene_error.hpp"
 
 namespace sutured::simulation {
 namespace {
+
+// From so many tets on, two threads take what follows from the displacements.
+constexpr std::size_t kSharedTets = 50'000;
 
 std::size_t at(std::int64_t i) { return static_cast<std::size_t>(i); }
 
@@ -165,8 +169,14 @@ void TissueState::place() {
     positions_m_[v] =
         model_.vertices_m[v] +
         Vec3(displacement_m_[3 * v], displacement_m_[3 * v + 1], displacement_m_[3 * v + 2]);
-  tree_.refit(positions_m_);
-  count_inverted();
+  const auto refit = [this] { tree_.refit(positions_m_); };
+  const auto count = [this] { count_inverted(); };
+  if (model_.tets.size() >= kSharedTets) {
+    fem::in_two_threads(refit, count);
+  } else {
+    refit();
+    count();
+  }
 }
 
 void TissueState::count_inverted() {

@@ -3,6 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
+#include <cmath>
 #include <random>
 
 #include "support/block_mesh.hpp"
@@ -104,7 +106,7 @@ TEST(CholeskyFactor, BlocksTakenTogetherAreThoseTakenAlone) {
   EXPECT_LE(worst, 1e-13 * largest);  // rounding
 }
 
-TEST(CholeskyFactor, BackwardPassOfAccumulatedForcesSolvesTheTissue) {
+TEST(CholeskyFactor, BackwardPassOfLoadsSolvesTheTissue) {
   const Model model = two_blocks();
   const LinearSystem system = assemble(model);
   const CholeskyFactor factor(system);
@@ -114,16 +116,17 @@ TEST(CholeskyFactor, BackwardPassOfAccumulatedForcesSolvesTheTissue) {
   std::uniform_real_distribution<double> uniform(-1.0, 1.0);
   Eigen::VectorXd force = Eigen::VectorXd::Zero(dofs), offset(dofs);
   for (double& x : offset) x = uniform(random);
-  std::vector<double> y(static_cast<std::size_t>(factor.size()), 0.0),
-      u(static_cast<std::size_t>(dofs));
-  PathColumns columns;
+  std::vector<double> u(static_cast<std::size_t>(dofs), NAN);
+  std::array<PathColumns, 7> columns;
+  std::vector<PathLoad> loads;
   for (const std::int32_t v : {5, 33, 40, 70, 71, 79, 90}) {
     const Vec3 f(uniform(random), uniform(random), uniform(random));
-    factor.walk_path(v, columns);
-    factor.accumulate(columns, f, y);
+    PathColumns& path = columns[loads.size()];
+    factor.walk_path(v, path);
+    loads.push_back({&path, f});
     force.segment<3>(3 * v) += f;
   }
-  factor.backward(y, {offset.data(), static_cast<std::size_t>(dofs)}, u);
+  factor.backward(loads, {offset.data(), static_cast<std::size_t>(dofs)}, u);
   const Eigen::VectorXd expected = offset + inverse * force;
   const Eigen::Map<const Eigen::VectorXd> got(u.data(), dofs);
   EXPECT_LT((got - expected).cwiseAbs().maxCoeff(), 1e-12 * expected.cwiseAbs().maxCoeff() + 1e-13);
@@ -139,12 +142,16 @@ TEST(CholeskyFactor, BackwardPassOfTwoThreadsIsThatOfOneToTheBit) {
     const CholeskyFactor alone(system), shared(system, 1);
     std::mt19937_64 random(5);
     std::uniform_real_distribution<double> value(-1.0, 1.0);
-    std::vector<double> y(static_cast<std::size_t>(alone.size()));
-    for (double& v : y) v = value(random);
-    std::vector<double> z = y, u(system.free_index.size()), w(u.size());
+    std::vector<PathColumns> columns(tissue.vertices_m.size());
+    std::vector<PathLoad> loads;
+    for (std::size_t v = 0; v < columns.size(); ++v) {
+      alone.walk_path(static_cast<std::int32_t>(v), columns[v]);
+      loads.push_back({&columns[v], Vec3(value(random), value(random), value(random))});
+    }
+    std::vector<double> u(system.free_index.size(), NAN), w(u);
     const std::vector<double> offset(u.size(), 0.25);
-    alone.backward(y, offset, u);
-    shared.backward(z, offset, w);
+    alone.backward(loads, offset, u);
+    shared.backward(loads, offset, w);
     EXPECT_EQ(u, w);
     EXPECT_NE(u, offset);
   }
