@@ -47,14 +47,14 @@ viewer: ## Build the web page that `sutured serve --http` shows
 	  DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq --no-install-recommends nodejs npm >/dev/null; }
 	@cd client-sdk/viewer && npm ci --no-audit --no-fund --silent && npm run --silent build
 
-# What the tests with a browser need besides.
-.PHONY: deps-browser
-deps-browser: viewer
+# What the tests in JavaScript need besides: with a browser, and with others' packages.
+.PHONY: deps-node
+deps-node: viewer
 	$(call install-packages,$(BROWSER_PACKAGES))
-	@cd tests/browser && npm ci --no-audit --no-fund --silent
+	@for tests in browser interop; do (cd tests/$$tests && npm ci --no-audit --no-fund --silent) || exit; done
 
 .PHONY: viewer-picture
-viewer-picture: build deps-browser ## Draw the page in a browser: docs/guide/viewer.png
+viewer-picture: build deps-node ## Draw the page in a browser: docs/guide/viewer.png
 	@node tests/browser/picture.mjs docs/guide/viewer.png
 
 RUN_DIR := out/run
@@ -87,7 +87,7 @@ install: build ## Install commands, SDK and licences below PREFIX
 	@cmake --install build/release --prefix $(PREFIX) >/dev/null && echo "installed below $(PREFIX)"
 
 .PHONY: test
-test: deps-test deps-browser ## Build and run every test
+test: deps-test deps-node ## Build and run every test
 	@cmake --preset dev >/dev/null
 	@cmake --build --preset dev
 	@ctest --preset dev --progress

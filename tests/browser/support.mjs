@@ -1,70 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// A real server in a process of its own, and Debian's Chromium without a display or a GPU.
-import { spawn } from "node:child_process";
+// Debian's Chromium without a display or a GPU, and what it shows.
 import { existsSync } from "node:fs";
-import { once } from "node:events";
-import { createServer } from "node:net";
-import { dirname, join } from "node:path";
-import { fileURLToPath } from "node:url";
+import { join } from "node:path";
 import { chromium } from "playwright-core";
+import { program, root } from "../support/server.mjs";
 
-export const root = join(dirname(fileURLToPath(import.meta.url)), "../..");
-export const program = process.env.SUTURED_PROGRAM ?? join(root, "build/release/server/sutured");
-export const vessels = join(root, "server/scenes/anastomosis/scene.toml");
-
-/** An even domain that ordinary use leaves alone, and a session of this process in it. */
-const domain = 100 + 2 * (process.pid % 60);
-const session = `browser-${process.pid}`;
-
-/** A port that nobody has just now: a server that comes back must come back on the same one. */
-async function freePort() {
-  const probe = createServer().listen(0, "127.0.0.1");
-  await once(probe, "listening");
-  const { port } = probe.address();
-  probe.close();
-  await once(probe, "close");
-  return port;
-}
-
-/** `sutured serve` with its gateway. */
-export class Server {
-  #process;
-  log = "";
-
-  static async start(scene = vessels, port = undefined) {
-    const server = new Server();
-    server.scene = scene;
-    server.port = port ?? (await freePort());
-    server.#process = spawn(program, ["serve", scene, ...server.place, "--http", `127.0.0.1:${server.port}`],
-      { stdio: ["ignore", "ignore", "pipe"] });
-    process.once("exit", () => server.#process.kill());
-    await new Promise((resolve, reject) => {
-      server.#process.on("error", reject);
-      server.#process.on("exit", (code, signal) => reject(new Error(`sutured ended with ${code ?? signal}:\n${server.log}`)));
-      server.#process.stderr.on("data", (bytes) => {
-        server.log += bytes;
-        if (server.log.includes("viewer at ")) resolve();
-      });
-    });
-    server.#process.removeAllListeners("exit");
-    return server;
-  }
-
-  get url() {
-    return `http://127.0.0.1:${this.port}/`;
-  }
-  /** Where it is found over DDS, as options of a command. */
-  get place() {
-    return ["--domain", String(domain), "--session", session];
-  }
-
-  async end(signal = "SIGINT") {
-    if (this.#process.exitCode !== null || this.#process.signalCode !== null) return;
-    const exit = once(this.#process, "exit");
-    this.#process.kill(signal);
-    await exit;
-  }
-}
+export { root, Server, vessels } from "../support/server.mjs";
 
 /** Says what is missing, in a word for people; undefined where nothing is. */
 export function missing() {
