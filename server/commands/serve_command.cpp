@@ -148,20 +148,25 @@ int exit_code_of(suture::ErrorCode code) {
 int serve(const Options& options) {
   const EndSignals signals;
   const auto log = spdlog::stderr_color_st("sutured");
+  suture::ParticipantOptions session;
+  session.domain = options.domain;
+  session.session = options.session;
+  // The web's door opens first: what is wrong with it is told before a large scene is read.
+  std::optional<gateway::Gateway> web;
+  if (options.http != "off") web.emplace(session, gateway_options(options, *log));
+
   scene::Scene scene = scene::read_scene(options.scene);
   for (const std::string& note : scene.notes) log->info("{}", note);
   const std::string name = scene.name;
   const double rate_hz = options.rate_hz > 0.0 ? options.rate_hz : scene.rate_hz;
 
   endpoints::Server::Options server_options;
-  suture::ParticipantOptions session;
-  session.domain = options.domain;
-  session.session = options.session;
   server_options.session = session;
   server_options.rate_hz = rate_hz;
   if (!options.checkpoints.empty())
     server_options.checkpoints = {options.checkpoints, options.keep};
   server_options.resume = options.resume;
+  server_options.more_viewers = [&web] { return web ? web->viewers_beyond_readers() : 0; };
   std::optional<ServedRecord> record;
   if (!options.out.empty()) {
     std::filesystem::create_directories(options.out);
@@ -177,11 +182,7 @@ int serve(const Options& options) {
   log->info("serving scene \"{}\" at {} Hz in domain {}, {}; Ctrl-C ends", name, rate_hz,
             options.domain, suture::session_text(options.session));
 
-  std::optional<gateway::Gateway> web;
-  if (options.http != "off") {
-    web.emplace(session, gateway_options(options, *log));
-    log->info("viewer at {}", web->url());
-  }
+  if (web) log->info("viewer at {}", web->url());
 
   constexpr std::int64_t kLook_ns = 200'000'000;
   const std::int64_t end_ns =
@@ -236,31 +237,38 @@ void add_serve_command(CLI::App& app, int& exit_code) {
                       "Session name: servers and devices of one name meet (a DDS partition)");
   command->add_option("--domain", options->domain,
                       "DDS domain, even; meshes for viewers travel in the next one");
+  CLI::Option* http =
+      command
+          ->add_option("--http", options->http,
+                       "Gateway for browsers and web tools: ADDR:PORT, PORT (on 127.0.0.1) or off; "
+                       "port 0: any free one")
+          ->check([](const std::string& value) {
+            std::string address;
+            std::uint16_t port = 0;
+            return value == "off" || split_address(value, address, port)
+                       ? std::string()
+                       : "\"" + value +
+                             "\" is not an address: say 127.0.0.1:8080, [::1]:8080, 8080 or off";
+          })
+          ->capture_default_str();
   command
-      ->add_option("--http", options->http,
-                   "Gateway for browsers and web tools: ADDR:PORT, PORT (on 127.0.0.1) or off; "
-                   "port 0: any free one")
-      ->check([](const std::string& value) {
-        std::string address;
-        std::uint16_t port = 0;
-        return value == "off" || split_address(value, address, port)
-                   ? std::string()
-                   : "\"" + value +
-                         "\" is not an address: say 127.0.0.1:8080, [::1]:8080, 8080 or off";
-      })
-      ->capture_default_str();
-  command->add_option("--http-tokens", options->http_tokens,
-                      "File of the tokens that web clients must bring (docs/guide/viewer.md); "
-                      "needed where ADDR is not loopback");
-  command->add_option("--http-origin", options->http_origins,
-                      "Pages of this origin may connect too, as https://example.org; repeatable");
+      ->add_option("--http-tokens", options->http_tokens,
+                   "File of the tokens that web clients must bring (docs/guide/viewer.md); "
+                   "needed, as TLS is, where ADDR is not loopback")
+      ->needs(http);
+  command
+      ->add_option("--http-origin", options->http_origins,
+                   "Pages of this origin may connect too, as https://example.org; repeatable")
+      ->needs(http);
   CLI::Option* certificate = command->add_option("--http-certificate", options->http_certificate,
                                                  "PEM file: serve by TLS");
   CLI::Option* key =
       command->add_option("--http-key", options->http_key, "PEM file: its private key");
-  certificate->needs(key);
+  certificate->needs(key)->needs(http);
   key->needs(certificate);
-  command->add_option("--http-page", options->http_page, "Folder of the web page, if not ours");
+  command->add_option("--http-page", options->http_page, "Folder of the web page, if not ours")
+      ->check(CLI::ExistingDirectory)
+      ->needs(http);
   command->add_option("--rate", options->rate_hz, "Steps a second, instead of the scene's")
       ->check(suture::within(30.0, 1000.0, "Hz"));
   command->add_option("--duration", options->duration_s, "End after so many seconds")

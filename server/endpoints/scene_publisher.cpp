@@ -613,7 +613,8 @@ void ScenePublisher::publish_status(suture_v1_ServerState state, const std::stri
   status.complementarity_residual = report_.complementarity_residual;
   status.frame_rate_hz = static_cast<double>(frames_since_) / elapsed_s;
   frames_since_ = 0;
-  status.viewers = static_cast<std::uint32_t>(frames_.matched());
+  status.viewers =
+      static_cast<std::uint32_t>(std::max(frames_.matched() + served_.more_viewers(), 0));
   status.sched_fifo = served_.supervisor.realtime();
   status.memory_locked = served_.realtime.memory_locked;
   suture::set_text(status.realtime_note, served_.realtime.note);

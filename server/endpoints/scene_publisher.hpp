@@ -34,6 +34,7 @@ struct Served {
   std::string session, version;
   checkpoints::CheckpointKeeper* keeper = nullptr;  ///< null: there are no checkpoints
   std::string resumed;                              ///< Server::resumed
+  std::function<int()> more_viewers;                ///< Server::Options
 };
 
 /// Sends what viewers and people see, on one thread that nobody waits for: every 10 ms

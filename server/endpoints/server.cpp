@@ -134,10 +134,11 @@ Server::Server(scene::Scene scene, Options options)
   s.loop.emplace(std::move(simulation), channels, std::move(loop_options));
   s.models->start(*s.loop);
   s.supervisor.emplace([forces = &*s.forces](std::int64_t now_ns) { forces->tick(now_ns); });
-  s.publisher.emplace(*s.control, *s.mesh,
-                      Served{s.scene, s.tools, *s.forces, *s.models, *s.loop, *s.supervisor,
-                             s.realtime, s.options.rate_hz, s.options.session.session,
-                             SUTURED_VERSION, s.keeper ? &*s.keeper : nullptr, s.resumed});
+  s.publisher.emplace(
+      *s.control, *s.mesh,
+      Served{s.scene, s.tools, *s.forces, *s.models, *s.loop, *s.supervisor, s.realtime,
+             s.options.rate_hz, s.options.session.session, SUTURED_VERSION,
+             s.keeper ? &*s.keeper : nullptr, s.resumed, s.options.more_viewers});
 }
 
 Server::~Server() { stop("the server ends"); }

@@ -29,6 +29,9 @@ class Server {
     std::function<void(simulation::Simulation&, bool last)> watch;
     /// Where checkpoints are kept; none: they are not, and commands that want them are refused.
     std::optional<checkpoints::CheckpointFolder::Options> checkpoints;
+    /// What to add to the frame readers that DDS counts as viewers (Gateway); called on the
+    /// publisher's thread, until `stop`.
+    std::function<int()> more_viewers = [] { return 0; };
     enum class Resume { kAfterCrash, kAlways, kNever };
     Resume resume = Resume::kAfterCrash;
   };

@@ -10,6 +10,7 @@
 #include <array>
 #include <sstream>
 
+#include "geometry/regular_file.hpp"
 #include "protocol/types.hpp"
 #include "suture/error.hpp"
 
@@ -17,6 +18,7 @@ namespace sutured::gateway {
 namespace {
 
 constexpr std::size_t kDigest = 64;  // hex digits
+constexpr std::uint64_t kFileMax = 1U << 20U;
 
 std::string lower(std::string_view text) {
   std::string result(text);
@@ -91,13 +93,15 @@ bool is_loopback(std::string_view address) noexcept {
 
 Access::Access(Options options)
     : options_(std::move(options)), loopback_(is_loopback(options_.address)) {
-  if (options_.tokens.empty()) {
-    if (!loopback_)
-      throw suture::Error(suture::ErrorCode::kBadInput,
-                          "--http " + options_.address + " would let everybody in",
-                          "give --http-tokens FILE (docs/guide/viewer.md), or a loopback address");
-    return;
-  }
+  if (!loopback_ && options_.tokens.empty())
+    throw suture::Error(suture::ErrorCode::kBadInput,
+                        "--http " + options_.address + " would let everybody in",
+                        "give --http-tokens FILE (docs/guide/viewer.md), or a loopback address");
+  if (!loopback_ && !options_.tls)
+    throw suture::Error(suture::ErrorCode::kBadInput,
+                        "--http " + options_.address + " would send tokens in the clear",
+                        "give --http-certificate FILE and --http-key FILE, or a loopback address");
+  if (options_.tokens.empty()) return;
   std::error_code error;
   read_at_ = std::filesystem::last_write_time(options_.tokens, error);
   tokens_ = read(options_.tokens);
@@ -106,7 +110,11 @@ Access::Access(Options options)
 std::vector<Access::Token> Access::read(const std::filesystem::path& file) {
   toml::table table;
   try {
-    table = toml::parse_file(file.string());
+    table = toml::parse(geometry::read_regular_file(file.string(), kFileMax), file.string());
+  } catch (const geometry::FileError& error) {
+    throw suture::Error(suture::ErrorCode::kBadInput,
+                        "the tokens " + file.string() + ": " + error.what(),
+                        "give --http-tokens a file as in docs/guide/viewer.md");
   } catch (const toml::parse_error& error) {
     refuse_file(file, error.source(), std::string(error.description()));
   }

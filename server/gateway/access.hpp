@@ -32,7 +32,8 @@ struct Grant {
 /// Tokens and origins.
 ///
 /// Without a file of tokens everybody on this machine may do everything, and nobody else
-/// can come: `--http` then takes loopback addresses only. With one, each WebSocket and
+/// can come: `--http` then takes loopback addresses only. Others need TLS too, since a token
+/// in the clear is everybody's (docs/adr/0044). With a file, each WebSocket and
 /// `/metrics` asks for a token. The file holds their SHA-256, not themselves, and is read
 /// again when it changes:
 ///
@@ -51,10 +52,11 @@ class Access {
     std::string address;               ///< of the server, numeric
     std::filesystem::path tokens;      ///< empty: none asked for
     std::vector<std::string> origins;  ///< allowed besides its own: `https://example.org`
+    bool tls = false;                  ///< what travels is encrypted
   };
 
   /// Throws suture::Error kBadInput: a faulty file (with its place), or an address that is
-  /// not loopback and no tokens.
+  /// not loopback and no tokens or no TLS.
   explicit Access(Options options);
 
   /// Returns why a request is refused whatever its token; nothing where it is not.

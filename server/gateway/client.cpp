@@ -91,9 +91,10 @@ void Client::carry_out(const Unsubscribe& unsubscribe) {
       complain("there is no subscription " + std::to_string(subscription));
       continue;
     }
-    source_.unsubscribe(found->second);
+    const std::uint32_t channel = found->second;
     subscriptions_.erase(found);
     outbox_.forget(subscription);
+    source_.unsubscribe(channel);
   }
 }
 
@@ -132,6 +133,11 @@ void Client::deliver(const Delivery& delivery) {
     wanted = true;
   }
   if (wanted) wake();
+}
+
+bool Client::listens_to(std::uint32_t channel) const noexcept {
+  return std::any_of(subscriptions_.begin(), subscriptions_.end(),
+                     [&](const auto& entry) { return entry.second == channel; });
 }
 
 void Client::renew(const Access& access) {

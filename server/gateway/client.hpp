@@ -55,6 +55,7 @@ class Client : public WebClient {
   /// Looks whether its token still holds, and closes it where not.
   void renew(const Access& access);
 
+  [[nodiscard]] bool listens_to(std::uint32_t channel) const noexcept;
   [[nodiscard]] const Outbox& outbox() const noexcept { return outbox_; }
 
  private:

@@ -39,14 +39,16 @@ class Gateway::State : public ChannelSource {
  public:
   State(const suture::ParticipantOptions& session, Options options)
       : options_(std::move(options)),
-        access_({options_.address, options_.tokens, options_.origins}),
+        access_(
+            {options_.address, options_.tokens, options_.origins, !options_.certificate.empty()}),
         site_(options_.page),
         web_({.address = options_.address,
               .port = options_.port,
               .certificate = options_.certificate,
               .key = options_.key},
              {.get = [this](const Request& request) { return get(request); },
-              .open = [this](const Request& request) { return open(request); }}),
+              .open = [this](const Request& request) { return open(request); },
+              .fault = [this](const std::string& text) { options_.log(true, text); }}),
         control_(separate(session), suture::Channel::kControl),
         mesh_(separate(session), suture::Channel::kMesh),
         status_(control_),
@@ -57,6 +59,8 @@ class Gateway::State : public ChannelSource {
     channels_.assign(feed_.channels().begin(), feed_.channels().end());
     scene_channel_ = static_cast<std::uint32_t>(channels_.size() + 1);
     channels_.push_back(SceneComposer::channel(scene_channel_));
+    for (const Channel& channel : feed_.channels())
+      if (channel.topic == suture::topic<suture::v1::MeshFrame>().name) frame_channel_ = channel.id;
     web_.every(kScenePeriod, [this] { compose(); });
     web_.every(kHousekeeping, [this] { keep_house(); });
     thread_ = std::thread([this] {
@@ -70,6 +74,8 @@ class Gateway::State : public ChannelSource {
   }
   State(const State&) = delete;
   State& operator=(const State&) = delete;
+
+  [[nodiscard]] int viewers_beyond_readers() const noexcept { return viewers_beyond_readers_; }
 
   [[nodiscard]] std::string url() const {
     const bool v6 = options_.address.find(':') != std::string::npos;
@@ -193,10 +199,23 @@ class Gateway::State : public ChannelSource {
     deliver(*last_scene_);
   }
 
+  // Our readers of frames stand for the clients who watch.
+  void count_viewers() {
+    int frames = 0, watchers = 0;
+    for (const Client* client : clients_) {
+      const bool takes_frames = client->listens_to(frame_channel_);
+      frames += takes_frames ? 1 : 0;
+      watchers += takes_frames || client->listens_to(scene_channel_) ? 1 : 0;
+    }
+    const int readers = (frames > 0 ? 1 : 0) + (scene_watchers_ > 0 ? 1 : 0);
+    viewers_beyond_readers_ = watchers - readers;
+  }
+
   void keep_house() {
     if (const std::string fault = access_.reload(); !fault.empty())
       options_.log(true, fault + " (the tokens read before still hold)");
     for (Client* client : clients_) client->renew(access_);
+    count_viewers();
   }
 
   Options options_;
@@ -212,7 +231,8 @@ class Gateway::State : public ChannelSource {
   Feed feed_;
   std::string session_id_;
   std::vector<Channel> channels_;
-  std::uint32_t scene_channel_ = 0;
+  std::uint32_t scene_channel_ = 0, frame_channel_ = 0;
+  std::atomic<int> viewers_beyond_readers_ = 0;
   int scene_watchers_ = 0;
   std::optional<Delivery> last_scene_;
   std::thread thread_;
@@ -224,5 +244,7 @@ Gateway::Gateway(const suture::ParticipantOptions& session, Options options)
 Gateway::~Gateway() = default;
 
 std::string Gateway::url() const { return state_->url(); }
+
+int Gateway::viewers_beyond_readers() const noexcept { return state_->viewers_beyond_readers(); }
 
 }  // namespace sutured::gateway

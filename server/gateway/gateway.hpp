@@ -25,7 +25,7 @@ class Gateway {
   struct Options {
     std::string address = "127.0.0.1";
     std::uint16_t port = 8080;         ///< 0: any free one
-    std::filesystem::path page;        ///< folder of the web page
+    std::filesystem::path page;        ///< folder of the web page; need not exist
     std::filesystem::path tokens;      ///< see Access
     std::vector<std::string> origins;  ///< see Access
     std::string certificate, key;      ///< PEM files; empty: no TLS
@@ -33,7 +33,8 @@ class Gateway {
     std::function<void(bool bad, const std::string&)> log = [](bool, const std::string&) {};
   };
 
-  /// Binds, takes part in the session, and serves. Throws suture::Error.
+  /// Binds, takes part in the session, and serves; a server of the session may come later.
+  /// Throws suture::Error: kBadInput for options that cannot be, kNetwork where it cannot bind.
   Gateway(const suture::ParticipantOptions& session, Options options);
   /// Says goodbye to all clients and ends, within a third of a second.
   ~Gateway();
@@ -42,6 +43,9 @@ class Gateway {
 
   /// Returns where the page is: `http://127.0.0.1:8080/`.
   [[nodiscard]] std::string url() const;
+  /// Returns how many more clients watch the scene than there are readers of frames for them:
+  /// what is to be added to the readers that DDS counts. Counted twice a second. Threads: any.
+  [[nodiscard]] int viewers_beyond_readers() const noexcept;
 
  private:
   class State;

@@ -89,6 +89,7 @@ void server_metrics(Exposition& out, const suture::v1::ServerStatus& status) {
   out.single("complementarity_residual", "gauge", "Of the last frame's step.",
              status.complementarity_residual);
   out.single("devices", "gauge", "Tools whose lease is held.", status.devices);
+  out.single("viewers", "gauge", "Who watches the scene, over DDS or the web.", status.viewers);
 
   using Tool = suture::v1::ToolStatus;
   const auto each = [&](std::string_view name, std::string_view type, std::string_view help,
@@ -150,6 +151,8 @@ std::string metrics_text(const suture::v1::ServerStatus* status, const WebCounte
   out.single("web_connections_refused_total", "counter", "Connections beyond the limit.",
              web.connections_refused);
   out.single("web_requests_total", "counter", "HTTP requests.", web.requests);
+  out.single("web_faults_total", "counter", "Connections and tasks that an exception ended.",
+             web.faults);
   out.single("web_sent_bytes_total", "counter", "Bytes of WebSocket messages sent.",
              web.bytes_sent);
   out.single("web_received_bytes_total", "counter", "Bytes of WebSocket messages received.",

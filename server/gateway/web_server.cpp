@@ -18,6 +18,8 @@
 #include <boost/beast/ssl.hpp>
 #include <boost/beast/websocket.hpp>
 #include <boost/beast/websocket/ssl.hpp>
+#include <exception>
+#include <filesystem>
 #include <list>
 #include <utility>
 
@@ -86,6 +88,52 @@ HttpResponse response_of(const Reply& reply, const HttpRequest& request) {
   return response;
 }
 
+// A key that others may read is no secret.
+void refuse_open_key(const std::string& file) {
+  using std::filesystem::perms;
+  std::error_code error;
+  const perms mode = std::filesystem::status(file, error).permissions();
+  if (!error && (mode & perms::others_all) != perms::none)
+    throw suture::Error(suture::ErrorCode::kBadInput,
+                        "the key " + file + " is open to every user of this machine",
+                        "chmod o= " + file);
+}
+
+// Returns TLS of that certificate, or throws an Error that says what is wrong with it.
+asio::ssl::context tls_of(const std::string& certificate, const std::string& key) {
+  asio::ssl::context tls(asio::ssl::context::tls_server);
+  error_code error;
+  tls.set_options(asio::ssl::context::no_tlsv1 | asio::ssl::context::no_tlsv1_1, error);
+  if (!error) tls.use_certificate_chain_file(certificate, error);
+  if (error)
+    throw suture::Error(suture::ErrorCode::kBadInput,
+                        "cannot read the certificate " + certificate + ": " + error.message(),
+                        "give a PEM file with the certificate and its chain");
+  refuse_open_key(key);
+  tls.use_private_key_file(key, asio::ssl::context::pem, error);
+  if (error)
+    throw suture::Error(suture::ErrorCode::kBadInput,
+                        "cannot use the key " + key + ": " + error.message(),
+                        "give the PEM file of the certificate's own private key");
+  return tls;
+}
+
+// Who speaks plain HTTP to a port of TLS.
+bool is_plain_http(const error_code& error) {
+  return error.category() == asio::error::get_ssl_category() &&
+         ERR_GET_REASON(static_cast<unsigned long>(error.value())) == SSL_R_HTTP_REQUEST;
+}
+
+std::string text_of(const std::exception_ptr& fault) {
+  try {
+    std::rethrow_exception(fault);
+  } catch (const std::exception& error) {
+    return error.what();
+  } catch (...) {
+    return "not an exception of the standard library";
+  }
+}
+
 // The listening socket, or an Error that says why there is none.
 tcp::acceptor listening(asio::io_context& io, const WebServer::Options& options) {
   const std::string where = options.address + " port " + std::to_string(options.port);
@@ -122,22 +170,7 @@ struct WebServer::State {
   State(const Options& options_in, Handlers handlers_in)
       : options(options_in), handlers(std::move(handlers_in)) {
     io.emplace(1);
-    if (!options.certificate.empty()) {
-      tls.emplace(asio::ssl::context::tls_server);
-      error_code error;
-      tls->set_options(asio::ssl::context::no_tlsv1 | asio::ssl::context::no_tlsv1_1, error);
-      if (!error) tls->use_certificate_chain_file(options.certificate, error);
-      if (error)
-        throw suture::Error(
-            suture::ErrorCode::kBadInput,
-            "cannot read the certificate " + options.certificate + ": " + error.message(),
-            "give a PEM file with the certificate and its chain");
-      tls->use_private_key_file(options.key, asio::ssl::context::pem, error);
-      if (error)
-        throw suture::Error(suture::ErrorCode::kBadInput,
-                            "cannot use the key " + options.key + ": " + error.message(),
-                            "give the PEM file of the certificate's own private key");
-    }
+    if (!options.certificate.empty()) tls.emplace(tls_of(options.certificate, options.key));
     acceptor.emplace(listening(*io, options));
     port = acceptor->local_endpoint().port();
   }
@@ -149,10 +182,30 @@ struct WebServer::State {
   }
 
   void spawn(asio::awaitable<void> task) {
-    asio::co_spawn(*io, std::move(task), [](const std::exception_ptr& fault) {
-      // Out of memory, or a fault of ours: that connection is gone, the others stay.
-      static_cast<void>(fault);
+    asio::co_spawn(*io, std::move(task), [this](const std::exception_ptr& fault) {
+      if (fault) note(fault);
     });
+  }
+
+  // Out of memory, or a fault of ours: what it came from is gone, the rest stays. People are
+  // told, but not as often as strangers may like.
+  void note(const std::exception_ptr& fault) {
+    ++counters.faults;
+    const auto now = std::chrono::steady_clock::now();
+    if (told && now - *told < kFaultSilence) return;
+    told = now;
+    handlers.fault("a web connection or task ended by a fault (" + std::to_string(counters.faults) +
+                   " so far): " + text_of(fault));
+  }
+
+  // Runs `task`, and survives it.
+  template <class Task>
+  void guard(Task&& task) {
+    try {
+      task();
+    } catch (...) {
+      note(std::current_exception());
+    }
   }
 
   asio::awaitable<void> accept() {
@@ -169,11 +222,13 @@ struct WebServer::State {
         ++counters.connections_refused;
         continue;
       }
-      error_code ignored;
-      socket.set_option(tcp::no_delay(true), ignored);
-      socket.set_option(asio::socket_base::send_buffer_size(kSendBuffer), ignored);
-      ++counters.connections;
-      spawn(connection(std::move(socket)));
+      guard([this, &accepted = socket] {
+        error_code ignored;
+        accepted.set_option(tcp::no_delay(true), ignored);
+        accepted.set_option(asio::socket_base::send_buffer_size(kSendBuffer), ignored);
+        ++counters.connections;
+        spawn(connection(std::move(accepted)));
+      });
     }
   }
 
@@ -231,7 +286,12 @@ struct WebServer::State {
     const Ender ender(*this, [&stream] { beast::get_lowest_layer(stream).close(); });
     beast::get_lowest_layer(stream).expires_after(options.request_patience);
     auto [error] = co_await stream.async_handshake(asio::ssl::stream_base::server, kAwait);
-    if (!error) co_await serve(std::move(stream));
+    if (!error) {
+      co_await serve(std::move(stream));
+    } else if (is_plain_http(error)) {
+      co_await answer(stream.next_layer(), plain_reply(400, "this port speaks https"), {});
+      beast::get_lowest_layer(stream).socket().shutdown(tcp::socket::shutdown_send, error);
+    }
   }
 
   // One connection: requests, until one of them asks for a WebSocket.
@@ -368,7 +428,7 @@ struct WebServer::State {
     while (!stopping) {
       timer.expires_after(period);
       co_await timer.async_wait(kAwait);
-      if (!stopping) task();
+      if (!stopping) guard(task);
     }
   }
 
@@ -377,6 +437,7 @@ struct WebServer::State {
   WebCounters counters;
   std::list<WebClient*> clients;
   std::list<std::function<void()>> enders;
+  std::optional<std::chrono::steady_clock::time_point> told;  // of a fault
   bool stopping = false;
   std::uint16_t port = 0;
   std::optional<asio::ssl::context> tls;
@@ -411,7 +472,9 @@ void WebServer::stop() {
   });
 }
 
-void WebServer::post(std::function<void()> task) { asio::post(*state_->io, std::move(task)); }
+void WebServer::post(std::function<void()> task) {
+  asio::post(*state_->io, [state = state_.get(), task = std::move(task)] { state->guard(task); });
+}
 
 void WebServer::every(std::chrono::milliseconds period, std::function<void()> task) {
   state_->spawn(state_->beat(period, std::move(task)));

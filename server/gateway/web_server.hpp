@@ -74,6 +74,7 @@ struct WebCounters {
   std::uint64_t requests = 0;
   std::uint64_t bytes_sent = 0;      ///< of WebSocket messages
   std::uint64_t bytes_received = 0;  ///< of WebSocket messages
+  std::uint64_t faults = 0;          ///< exceptions, each of which ended what it came from
 };
 
 /// Serves one address.
@@ -86,7 +87,7 @@ class WebServer {
   struct Options {
     std::string address = "127.0.0.1";  ///< numeric
     std::uint16_t port = 0;             ///< 0: any free one
-    std::string certificate, key;       ///< PEM files; empty: no TLS
+    std::string certificate, key;       ///< PEM files; empty: no TLS. Others may not read the key
     std::size_t connections_max = 128;
     std::chrono::seconds request_patience{10};
     std::chrono::seconds idle_patience{30};  ///< then a ping; as long again, then the end
@@ -98,7 +99,10 @@ class WebServer {
   struct Handlers {
     std::function<Reply(const Request&)> get;
     std::function<std::variant<Reply, Accepted>(const Request&)> open;
+    /// Told of exceptions, at most once in `kFaultSilence`: of the latest, and of how many.
+    std::function<void(const std::string&)> fault = [](const std::string&) {};
   };
+  static constexpr std::chrono::seconds kFaultSilence{10};
 
   /// Binds and listens. Throws suture::Error kNetwork or kBadInput.
   WebServer(const Options& options, Handlers handlers);
@@ -107,7 +111,8 @@ class WebServer {
   WebServer& operator=(const WebServer&) = delete;
 
   [[nodiscard]] std::uint16_t port() const noexcept;
-  /// Serves until `stop`.
+  /// Serves until `stop`. What a handler or a task throws ends the connection or the task it
+  /// came from, and is counted and told.
   void run();
   /// Says goodbye to all clients (code 1001) and lets `run` return, within a third of a
   /// second.

@@ -175,7 +175,7 @@ describe("the viewer", { timeout: 240_000 }, () => {
     const warm = await pixels(opened, tissue);
     assert.ok(warm.left > 0.04, "the last picture stays");
 
-    server = await Server.start(undefined, server.port);
+    server = await Server.start({ port: server.port });
     await opened.waitForSelector('html[data-connection="open"]', { state: "attached" });
     await opened.locator("#overlay").waitFor({ state: "hidden" });
     await figure(opened, "Frames", (value) => value === 0);

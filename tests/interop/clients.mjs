@@ -74,10 +74,10 @@ export class Connection {
   info = undefined;
   channels = new Map(); // by topic
 
-  /** Resolves once the server has advertised its channels. */
-  static async open(url, subprotocol) {
+  /** Resolves once the server has advertised its channels; `options` are those of Node's TLS. */
+  static async open(url, subprotocol, options = {}) {
     const connection = new Connection();
-    const socket = new WebSocket(url, [subprotocol]);
+    const socket = new WebSocket(url, [subprotocol], options);
     const client = (connection.#client = new makers[subprotocol]({ ws: socket }));
     connection.complaint.catch(() => {});
     const opened = new Promise((resolve) =>

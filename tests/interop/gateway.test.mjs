@@ -30,7 +30,7 @@ describe("Foxglove's packages", { timeout: 240_000 }, () => {
   for (const subprotocol of subprotocols)
     describe(subprotocol, () => {
       let connection;
-      before(async () => (connection = await Connection.open(server.url.replace("http", "ws"), subprotocol)));
+      before(async () => (connection = await Connection.open(server.socket, subprotocol)));
       after(() => connection?.close());
 
       it("learn what there is", () => {

@@ -34,13 +34,17 @@ export class Program {
   constructor(command, words) {
     this.#process = spawn(command, words, { stdio: ["ignore", "pipe", "pipe"] });
     const child = this.#process;
-    process.once("exit", () => child.kill("SIGKILL"));
+    const kill = () => child.kill("SIGKILL");
+    process.once("exit", kill);
     for (const pipe of [child.stdout, child.stderr])
       pipe.on("data", (bytes) => {
         this.log += bytes;
         this.#watch();
       });
-    this.ended = once(child, "exit").then(([code, signal]) => code ?? signal);
+    this.ended = once(child, "exit").then(([code, signal]) => {
+      process.off("exit", kill);
+      return code ?? signal;
+    });
   }
 
   /** Waits until it has said `text`; fails where it ends before. */
@@ -62,21 +66,23 @@ export class Program {
   }
 }
 
-/** `sutured serve` with its gateway. */
+/** `sutured serve` with its gateway; `url` is where its page is. */
 export class Server {
   #program;
 
-  static async start(scene = vessels, port = undefined) {
+  static async start({ scene = vessels, port = undefined, options = [] } = {}) {
     const server = new Server();
     server.scene = scene;
     server.port = port ?? (await freePort());
-    server.#program = new Program(program, ["serve", scene, ...server.place, "--http", `127.0.0.1:${server.port}`]);
+    server.#program = new Program(program, ["serve", scene, ...server.place, "--http", `127.0.0.1:${server.port}`, ...options]);
     await server.#program.said("viewer at ");
+    server.url = server.#program.log.match(/viewer at (\S+)/)[1];
     return server;
   }
 
-  get url() {
-    return `http://127.0.0.1:${this.port}/`;
+  /** Where its WebSocket is. */
+  get socket() {
+    return this.url.replace("http", "ws");
   }
   /** Where it is found over DDS, as options of a command. */
   get place() {

@@ -44,7 +44,13 @@ TEST(Access, TheHashIsSha256) {
 
 TEST(Access, NobodyComesFromElsewhereWithoutATokenFile) {
   EXPECT_THAT(refusal_of({"0.0.0.0", {}, {}}), HasSubstr("would let everybody in"));
+  EXPECT_THAT(refusal_of({"0.0.0.0", {}, {}, true}), HasSubstr("would let everybody in"));
   EXPECT_EQ(refusal_of({"127.0.0.1", {}, {}}), "");
+}
+
+TEST(Access, NoTokenTravelsInTheClear) {
+  EXPECT_THAT(refusal_of({"::", "tokens.toml", {}}), HasSubstr("in the clear"));
+  EXPECT_THAT(refusal_of({"::", "tokens.toml", {}, true}), HasSubstr("tokens.toml"));  // none there
 }
 
 TEST(Access, OnLoopbackEverybodyMayDoEverything) {
@@ -92,7 +98,7 @@ class TokenFile : public ::testing::Test {
     request.authorization = header;
     return request;
   }
-  [[nodiscard]] std::string refusal() const { return refusal_of({"192.0.2.1", path_, {}}); }
+  [[nodiscard]] std::string refusal() const { return refusal_of({"192.0.2.1", path_, {}, true}); }
 
   testing::TemporaryFolder folder_;
   std::filesystem::path path_ = folder_.path("tokens.toml");
@@ -101,7 +107,7 @@ class TokenFile : public ::testing::Test {
 
 TEST_F(TokenFile, GivesTheRightsOfTheToken) {
   write(token("ward", "s3cret", R"(["drive:left", "command"])") + token("eyes", "look", "[]"));
-  const Access access({"192.0.2.1", path_, {}});
+  const Access access({"192.0.2.1", path_, {}, true});
   const auto ward = access.grant(with("x=1&token=s3cret"));
   ASSERT_TRUE(ward);
   EXPECT_EQ(ward->name, "ward");
@@ -120,7 +126,7 @@ TEST_F(TokenFile, GivesTheRightsOfTheToken) {
 
 TEST_F(TokenFile, IsReadAgainWhereItChanges) {
   write(token("ward", "s3cret", "[]"));
-  Access access({"192.0.2.1", path_, {}});
+  Access access({"192.0.2.1", path_, {}, true});
   auto grant = access.grant(with("token=s3cret"));
   ASSERT_TRUE(grant);
   EXPECT_TRUE(access.renew(*grant));
@@ -140,7 +146,7 @@ TEST_F(TokenFile, IsReadAgainWhereItChanges) {
 }
 
 TEST_F(TokenFile, NamesTheFaultAndItsPlace) {
-  EXPECT_THAT(refusal(), HasSubstr("tokens.toml"));  // there is none
+  EXPECT_THAT(refusal(), HasSubstr("tokens.toml: cannot be opened"));  // there is none
   write("");
   EXPECT_THAT(refusal(), HasSubstr("there is no [[token]]"));
   write("[[token]]\nname = \"a\"\nsha256 = \"abc\"\nrights = []\n");
