@@ -8,7 +8,7 @@ BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
   cyclonedds-dev cyclonedds-tools libboost1.81-dev libssl-dev libspdlog-dev \
   libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev libzstd-dev
 PICTURE_PACKAGES := python3-matplotlib python3-numpy
-TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx iproute2 $(PICTURE_PACKAGES)
+TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev calculix-ccx iproute2 openssl $(PICTURE_PACKAGES)
 BROWSER_PACKAGES := chromium
 BENCH_PACKAGES := rt-tests
 MESH_PACKAGES := gmsh
@@ -93,11 +93,12 @@ test: deps-test deps-node ## Build and run every test
 	@ctest --preset dev --progress
 
 .PHONY: soak
-soak: deps-test ## Play 1000 random surgeons and check every step; serve for 10 minutes under load
+soak: deps-test ## Play 1000 random surgeons and check every step; serve for 10 minutes; 100,000 bad web messages
 	@cmake --preset dev >/dev/null
-	@cmake --build --preset dev --target sutured_surgeons sutured_long_run
+	@cmake --build --preset dev --target sutured_surgeons sutured_long_run sutured_web_attack
 	@build/dev/tests/soak/sutured_surgeons --count 1000
 	@build/dev/tests/soak/sutured_long_run --seconds 600
+	@build/dev/tests/soak/sutured_web_attack --count 100000
 
 .PHONY: bench
 bench: deps-test ## Measure the budgets: a table, and build/bench/results.json

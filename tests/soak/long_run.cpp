@@ -15,7 +15,6 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <fstream>
 #include <mutex>
 #include <regex>
 #include <thread>
@@ -25,6 +24,7 @@
 #include "protocol/surgeon.hpp"
 #include "protocol/topics.hpp"
 #include "support/process.hpp"
+#include "support/process_facts.hpp"
 #include "support/temporary_folder.hpp"
 #include "suture/device.hpp"
 #include "suture/session.hpp"
@@ -64,13 +64,6 @@ std::string write_scene(const testing::TemporaryFolder& folder) {
 }
 
 double norm(const double (&v)[3]) { return std::hypot(v[0], v[1], v[2]); }
-
-double resident_kib(pid_t pid) {
-  std::ifstream file("/proc/" + std::to_string(pid) + "/statm");
-  double total = 0.0, resident = 0.0;
-  file >> total >> resident;
-  return file ? resident * static_cast<double>(sysconf(_SC_PAGESIZE)) / 1024.0 : HUGE_VAL;
-}
 
 /// Hears every force of a tool, and keeps the worst of each kind.
 class ForceWatcher {
@@ -234,7 +227,7 @@ int run(double seconds) {
     std::this_thread::sleep_for(std::chrono::milliseconds(500));  // a pace, not a condition
     const auto round = static_cast<std::size_t>(elapsed_s() / round_s);
     if (round < round_kib.size())
-      round_kib[round] = std::max(round_kib[round], resident_kib(server.pid()));
+      round_kib[round] = std::max(round_kib[round], testing::resident_kib(server.pid()));
   }
   const double warm_kib = round_kib[1], last_kib = round_kib.back();
   hand.join();
