@@ -2,10 +2,14 @@
 #include "gateway/gateway.hpp"
 
 #include <pthread.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <future>
 #include <optional>
 #include <set>
 #include <thread>
@@ -27,6 +31,12 @@ constexpr std::size_t kClientsMax = 64;
 constexpr std::chrono::milliseconds kScenePeriod(50);
 constexpr std::chrono::milliseconds kHousekeeping(500);
 constexpr std::int64_t kStatusStale_ns = 3'000'000'000;
+
+// Lets the server's other threads go first on a processor that they share. The threads that this
+// one starts inherit it: on Linux a nice value is a thread's own.
+void go_behind_other_threads() noexcept {
+  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), 10);
+}
 
 suture::ParticipantOptions separate(suture::ParticipantOptions options) {
   options.separate = true;
@@ -239,7 +249,10 @@ class Gateway::State : public ChannelSource {
 };
 
 Gateway::Gateway(const suture::ParticipantOptions& session, Options options)
-    : state_(std::make_unique<State>(session, std::move(options))) {}
+    : state_(std::async(std::launch::async, [&] {
+               go_behind_other_threads();
+               return std::make_unique<State>(session, std::move(options));
+             }).get()) {}
 
 Gateway::~Gateway() = default;
 

@@ -18,7 +18,7 @@ namespace sutured::gateway {
 ///
 /// To the session it is a stranger: it takes part in both domains with participants of its
 /// own, as if from another process, so that no browser reaches a thread of the forces
-/// (docs/adr/0041).
+/// (docs/adr/0041). Its threads and theirs run at nice 10 (docs/adr/0044).
 /// Threads: the owner's; `log` is called on the gateway's.
 class Gateway {
  public:

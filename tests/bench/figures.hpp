@@ -65,6 +65,7 @@ void measure_fidelity(Figures& figures);
 void measure_wakeup(Figures& figures);
 void measure_roundtrip(Figures& figures);
 void measure_mesh(Figures& figures);
+void measure_viewers(Figures& figures);
 
 /// Prints what `model = "outside"` and `"path"` of a thread give on three meshes.
 void study_thread_model();
@@ -80,6 +81,9 @@ void study_fidelity(const std::string& folder);
 [[noreturn]] void serve_with_mesh(std::uint32_t domain, const std::string& session);
 /// Takes meshes until SIGTERM, and prints how many of the large ones came.
 void view_mesh(std::uint32_t domain, const std::string& session);
+/// Is fifty web viewers, between SIGUSR1 and SIGUSR2, until SIGTERM, and prints how many frames
+/// came.
+void watch_web(std::uint16_t port);
 
 /// Returns the processor time that this thread has used.
 [[nodiscard]] std::int64_t thread_time_ns();

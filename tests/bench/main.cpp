@@ -34,13 +34,15 @@ int main(int argc, char** argv) {
   app.add_option("--commit", commit, "What was built, for the record");
   app.add_option("--only", only,
                  "Measure these alone: step, closure, checkpoint, tissue, tick, fidelity, wakeup, "
-                 "roundtrip, mesh");
+                 "roundtrip, mesh, viewers");
   std::uint32_t domain = 0;
   std::string session;
   auto* echo = app.add_option("--echo", domain, "Be the bare echo in this DDS domain instead");
   auto* serve = app.add_option("--serve-with-mesh", domain, "Be the server with a large mesh");
   auto* view = app.add_option("--view-mesh", domain, "Be the viewer of that mesh");
   app.add_option("--session", session, "Session of these");
+  std::uint16_t port = 0;
+  auto* watch = app.add_option("--watch-web", port, "Be fifty viewers of the gateway at this port");
   bool thread_model = false;
   app.add_flag("--thread-model", thread_model,
                "Compare where a thread's tension acts instead: a table, no figures");
@@ -61,12 +63,17 @@ int main(int argc, char** argv) {
       {"wakeup", sutured::bench::measure_wakeup},
       {"roundtrip", sutured::bench::measure_roundtrip},
       {"mesh", sutured::bench::measure_mesh},
+      {"viewers", sutured::bench::measure_viewers},
   };
   try {
     if (*echo) sutured::bench::echo(domain, session);
     if (*serve) sutured::bench::serve_with_mesh(domain, session);
     if (*view) {
       sutured::bench::view_mesh(domain, session);
+      return 0;
+    }
+    if (*watch) {
+      sutured::bench::watch_web(port);
       return 0;
     }
     if (thread_model) {

@@ -6,15 +6,13 @@
 #include <signal.h>
 #include <sys/prctl.h>
 
-#include <cmath>
 #include <cstdio>
-#include <future>
 #include <stdexcept>
 
 #include "bench/figures.hpp"
 #include "bench/pinger.hpp"
+#include "bench/turns.hpp"
 #include "endpoints/server.hpp"
-#include "haptics/realtime.hpp"
 #include "haptics/supervisor.hpp"
 #include "scene/scene_reader.hpp"
 #include "support/process.hpp"
@@ -27,45 +25,8 @@ using suture::v1::MeshFrame;
 constexpr std::int64_t kMs = 1'000'000;
 constexpr std::size_t kFloats = 3U * 87'381U;  // 1 MiB of positions
 constexpr double kRate_hz = 60.0;
-constexpr int kTurns = 48;
-constexpr int kTurn_ms = 500, kSettling_ms = 100;
 const std::string kBody = "bench";
 const std::string kScene = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/";
-
-sigset_t signals(std::initializer_list<int> numbers) {
-  sigset_t set;
-  sigemptyset(&set);
-  for (const int number : numbers) sigaddset(&set, number);
-  return set;
-}
-
-/// Plays the bite to its end and back, and meshes in every other turn.
-void play(const suture::SurgeonTrack& track, Pinger& hand, const testing::Process& server,
-          std::vector<std::uint64_t>& begins) {
-  haptics::enter_realtime(60);
-  std::int64_t due_ns = suture::monotonic_ns();
-  const auto ask = [&](double time_s) {
-    hand.send(track.at(time_s));
-    due_ns = haptics::next_tick(due_ns, suture::monotonic_ns(), kMs).at_ns;
-    haptics::sleep_until(due_ns);
-  };
-  constexpr int kMeeting = 30'000, kRamp = 500;
-  for (int i = 0; hand.answered() == 0; ++i) {
-    ask(0.0);
-    if (i > kMeeting) throw std::runtime_error("no answer in 30 s from the server");
-  }
-  for (int i = 0; i < kRamp; ++i) ask(0.0);
-  const double length_s = track.end_s();
-  double time_s = 0.0;
-  for (int turn = 0; turn < kTurns; ++turn) {
-    server.send(turn % 2 == 0 ? SIGUSR1 : SIGUSR2);
-    for (int i = 0; i < kTurn_ms; ++i, time_s += 1e-3) {
-      if (i == kSettling_ms) begins.push_back(hand.sent() + 1);
-      const double phase = std::fmod(time_s, 2.0 * length_s);
-      ask(std::min(phase, 2.0 * length_s - phase));
-    }
-  }
-}
 
 }  // namespace
 
@@ -137,33 +98,20 @@ void measure_mesh(Figures& figures) {
   const suture::SurgeonTrack& track = surgeon.tracks.at(0);
 
   Pinger hand(session, track.tool);
-  std::vector<std::uint64_t> begins;
-  std::async(std::launch::async, [&] { play(track, hand, server, begins); }).get();
+  Turns turns = play_in_turns(track, hand, server);
   viewer.send(SIGTERM);
   if (viewer.wait() != 0) throw std::runtime_error("the viewer failed: " + viewer.output());
-  const double frames = std::atof(viewer.output().c_str());
-
-  constexpr int kCounted_ms = kTurn_ms - kSettling_ms;
-  std::vector<double> with_us, without_us;
-  for (std::size_t turn = 0; turn < begins.size(); ++turn) {
-    const std::vector<double> us =
-        hand.round_trips_us(begins[turn], begins[turn] + kCounted_ms - 1);
-    std::vector<double>& all = turn % 2 == 0 ? with_us : without_us;
-    all.insert(all.end(), us.begin(), us.end());
-  }
-  if (with_us.empty() || without_us.empty()) throw std::runtime_error("no pose was answered");
-  const double seen_hz = frames / (1e-3 * kTurn_ms * kTurns / 2);
+  const double seen_hz = std::atof(viewer.output().c_str()) / Turns::kWith_s;
   if (seen_hz < 0.9 * kRate_hz)
     throw std::runtime_error("only " + std::to_string(seen_hz) +
                              " frames a second reached the viewer: nothing to compare");
   figures.add("mesh_frames_hz", seen_hz, "Hz");
-  const auto answered = [](const std::vector<double>& us) {
-    return 100.0 * static_cast<double>(us.size()) / (kTurns / 2 * kCounted_ms);
-  };
-  figures.add("roundtrip_with_mesh_answered_percent", answered(with_us), "%");
-  figures.add("roundtrip_without_mesh_answered_percent", answered(without_us), "%");
-  const double with_p50 = quantile(with_us, 0.5), with_p99 = quantile(with_us, 0.99);
-  const double without_p50 = quantile(without_us, 0.5), without_p99 = quantile(without_us, 0.99);
+  figures.add("roundtrip_with_mesh_answered_percent", Turns::answered_percent(turns.with_us), "%");
+  figures.add("roundtrip_without_mesh_answered_percent", Turns::answered_percent(turns.without_us),
+              "%");
+  const double with_p50 = quantile(turns.with_us, 0.5), with_p99 = quantile(turns.with_us, 0.99);
+  const double without_p50 = quantile(turns.without_us, 0.5),
+               without_p99 = quantile(turns.without_us, 0.99);
   figures.add("roundtrip_with_mesh_us.p50", with_p50, "us");
   figures.add("roundtrip_with_mesh_us.p99", with_p99, "us");
   figures.add("roundtrip_without_mesh_us.p50", without_p50, "us");
