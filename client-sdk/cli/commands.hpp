@@ -74,6 +74,22 @@ struct ReplayArguments {
   bool force = false;
 };
 
+struct PictureSize {
+  int width_px = 1600;
+  int height_px = 1000;
+};
+
+struct SnapshotArguments {
+  std::string file;
+  std::string url = "http://127.0.0.1:8080/";
+  std::string token;  ///< empty: that of the address, or none
+  std::string view = "overview";
+  std::string theme = "light";
+  std::string browser;  ///< empty: the first Chromium that is installed
+  PictureSize size;
+  double timeout_s = 30.0;
+};
+
 struct CommandArguments {
   SessionArguments session;
   std::string kind;
@@ -86,6 +102,7 @@ int run_top(const TopArguments& arguments);
 int run_doctor(const DoctorArguments& arguments);
 int run_record(const RecordArguments& arguments);
 int run_replay(const ReplayArguments& arguments);
+int run_snapshot(const SnapshotArguments& arguments);
 int run_command(const CommandArguments& arguments);
 
 /// Set by SIGINT and SIGTERM.

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// `suture`: a device without hardware, a live table, a look at the machine, recordings, commands.
+// `suture`: a device without hardware, a live table, a look at the machine, recordings,
+// pictures, commands.
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <charconv>
 #include <csignal>
 #include <cstdio>
+#include <optional>
+#include <string>
 
 #include "commands.hpp"
 #include "protocol/number_option.hpp"
@@ -22,6 +26,20 @@ constexpr const char* kExitCodes =
     "Exit codes:\n"
     "  0 done · 1 failed · 2 arguments or an input file · 3 no server · 4 another protocol\n"
     "  version · 5 tool unknown or in use · 6 not permitted · 130 interrupted";
+
+/// Returns the size in "1600x1000"; nothing where there is none, or a side is too short or long.
+std::optional<PictureSize> picture_size(const std::string& text) {
+  constexpr int kSideMin_px = 16;
+  constexpr int kSideMax_px = 4096;
+  PictureSize size;
+  const char* const end = text.data() + text.size();
+  const auto [cross, no_width] = std::from_chars(text.data(), end, size.width_px);
+  if (no_width != std::errc() || cross == end || *cross != 'x') return std::nullopt;
+  const auto [last, no_height] = std::from_chars(cross + 1, end, size.height_px);
+  if (no_height != std::errc() || last != end) return std::nullopt;
+  const auto fits = [](int side_px) { return side_px >= kSideMin_px && side_px <= kSideMax_px; };
+  return fits(size.width_px) && fits(size.height_px) ? std::optional(size) : std::nullopt;
+}
 
 void on_signal(int /*signal*/) { interrupted = true; }
 
@@ -182,6 +200,45 @@ int run(int argc, char** argv) {
       "far\n"
       "as it goes.");
 
+  SnapshotArguments snapshot;
+  CLI::App* snapshot_command = app.add_subcommand(
+      "snapshot", "Write a PNG of the scene that a server with --http shows; needs no display");
+  snapshot_command->add_option("file", snapshot.file, "picture to write, name.png")->required();
+  snapshot_command->add_option("--url", snapshot.url, "the server's page, or a link with a token")
+      ->capture_default_str();
+  snapshot_command
+      ->add_option("--token", snapshot.token,
+                   "what the server asks of those who look; SUTURE_TOKEN keeps it off the list of "
+                   "processes")
+      ->envname("SUTURE_TOKEN");
+  snapshot_command
+      ->add_option("--view", snapshot.view, "where to look from, one of the page's views")
+      ->capture_default_str();
+  snapshot_command
+      ->add_option_function<std::string>(
+          "--size", [&](const std::string& text) { snapshot.size = *picture_size(text); },
+          "pixels, as 1600x1000")
+      ->check([](const std::string& text) {
+        return picture_size(text) ? std::string()
+                                  : "\"" + text + "\" is no size: take 16x16 to 4096x4096";
+      })
+      ->default_str("1600x1000");
+  snapshot_command->add_option("--theme", snapshot.theme, "colours around the scene: light or dark")
+      ->check(CLI::IsMember({"light", "dark"}))
+      ->capture_default_str();
+  snapshot_command->add_option("--browser", snapshot.browser,
+                               "Chromium to draw it; by default the first one in PATH");
+  snapshot_command->add_option("--timeout", snapshot.timeout_s, "seconds for all of it")
+      ->check(suture::within(0.001, 3600.0, "s"))
+      ->capture_default_str();
+  snapshot_command->footer(
+      "Examples:\n"
+      "  suture snapshot scene.png\n"
+      "  suture snapshot needle.png --view needle --size 1200x900 --theme dark\n"
+      "  suture snapshot ward.png --url https://ward.example:8443/ --token \"$TOKEN\"\n"
+      "Draws by an installed Chromium (Debian: `apt install chromium`); without one it ends with "
+      "1.");
+
   CommandArguments command;
   CLI::App* command_command = app.add_subcommand("command", "Tell the server to do something");
   add_session_options(*command_command, command.session);
@@ -221,6 +278,7 @@ int run(int argc, char** argv) {
     if (*doctor_command) return run_doctor(doctor);
     if (*record_command) return run_record(record);
     if (*replay_command) return run_replay(replay);
+    if (*snapshot_command) return run_snapshot(snapshot);
     return run_command(command);
   } catch (const Error& error) {
     std::fflush(stdout);

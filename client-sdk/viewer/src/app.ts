@@ -20,11 +20,13 @@ import { Plot } from "./panels/plots";
 import { QualityPanel, Rate, StatusPanel } from "./panels/status";
 import { cssVariable, ThemeSwitch } from "./panels/theme";
 import { TopBar } from "./panels/top_bar";
+import { pageOptions } from "./page_options";
 import { kPresets } from "./scene/cameras";
 import { colourAt, cssColour, kTensionMap } from "./scene/colour_map";
 import { Stage } from "./scene/stage";
 import { wasLed } from "./scene/tools";
 import { View } from "./scene/view";
+import { Snapshot, tellError } from "./snapshot";
 
 const kPanelPeriod_ms = 100;
 const kNear_m = 0.03;
@@ -33,6 +35,8 @@ const kAlive_ms = 200;
 const kSpoken = new Set([EventKind.Grasp, EventKind.Release, EventKind.Puncture, EventKind.Exit, EventKind.Fault, EventKind.Stopped]);
 
 export class App {
+  readonly #options = pageOptions(location.search);
+  readonly #snapshot = this.#options.snapshot && new Snapshot(this.#options.snapshot.view);
   readonly #view: View;
   readonly #link: Link;
   readonly #stage: Stage;
@@ -70,7 +74,7 @@ export class App {
     });
     // The worker connects while the picture is made ready: what it has to say waits in its channel.
     this.#link.connect(serverAddress(location.href, __SOCKET_PATH__));
-    this.#view = new View(byId("canvas") as HTMLCanvasElement);
+    this.#view = new View(byId("canvas") as HTMLCanvasElement, this.#options.best);
     this.#stage = new Stage(this.#view, byId("labels"), this.#link, (ms) => {
       document.documentElement.dataset["firstPictureMs"] = ms.toFixed(0);
     });
@@ -112,7 +116,7 @@ export class App {
     this.#xray = h("button", { type: "button", "aria-pressed": "false", title: "See through the tissue (X)", onclick: () => this.#toggleXray() }, "X-ray");
     this.#shortcuts = this.#makeShortcuts();
     this.#help = new Help(this.#shortcuts);
-    this.#theme = new ThemeSwitch(() => this.#restyle());
+    this.#theme = new ThemeSwitch(() => this.#restyle(), this.#options.theme);
     this.#lay();
     this.#listen();
     this.#restyle();
@@ -136,6 +140,8 @@ export class App {
       if (state.everOpen && state.attempt === 1) this.#events.notice("connection lost", "bad");
     }
     this.#overlay.show(state, this.#stage.hasScene);
+    if (this.#snapshot && state.phase === "lost" && state.refused)
+      tellError("access", "the server refuses access: the token is missing or wrong", "give one of its file of tokens");
   }
 
   #listen(): void {
@@ -143,6 +149,7 @@ export class App {
       this.#lastStatus = status;
       this.#bar.setStatus(status);
       this.#status.set(status);
+      this.#snapshot?.scene.status(status.epoch, status.bodies);
     });
     this.#link.on("suture/event", (event) => {
       if (!this.#events.push(event)) return;
@@ -157,6 +164,7 @@ export class App {
     });
     let time_s = 0;
     this.#link.on("suture/mesh/frame", (frame, bytes) => {
+      this.#snapshot?.scene.frame(frame.epoch, frame.body);
       this.#firstBody ||= frame.body;
       if (frame.body === this.#firstBody) {
         this.#frames.add(performance.now(), 0);
@@ -271,6 +279,7 @@ export class App {
   // ---------------------------------------------------------------- each frame
 
   #onFrame(now_ms: number): void {
+    if (this.#snapshot) return this.#takeSnapshot(this.#snapshot);
     const elapsed_s = Math.min(0.1, (now_ms - this.#updated_ms) / 1000);
     this.#updated_ms = now_ms;
     this.#stage.update(performance.now());
@@ -278,6 +287,22 @@ export class App {
     this.#updateHand(now_ms, elapsed_s);
     this.#force.update(now_ms);
     this.#tension.update(now_ms);
+  }
+
+  /** Shows what has come so far; once that is all of it, for the last time. */
+  #takeSnapshot(snapshot: Snapshot): void {
+    if (snapshot.fixed) return;
+    this.#stage.look(snapshot.view, false);
+    this.#stage.update(performance.now());
+    this.#stage.label();
+    this.#updateLegend();
+    snapshot.tellWaiting(this.#connection.phase === "open");
+    if (!snapshot.scene.complete) return;
+    snapshot.fixed = true;
+    this.#view.onDrawn = () => {
+      this.#view.onDrawn = undefined;
+      snapshot.tellReady();
+    };
   }
 
   #updateHand(now_ms: number, elapsed_s: number): void {
@@ -293,14 +318,14 @@ export class App {
   }
 
   #updatePanels(now_ms: number): void {
-    if (document.hidden) return;
+    if (document.hidden || this.#snapshot) return;
     if (now_ms - this.#drawn.at_ms > 1000) {
       const frames = this.#view.framesDrawn;
       this.#drawn = { frames, at_ms: now_ms, rate: ((frames - this.#drawn.frames) * 1000) / (now_ms - this.#drawn.at_ms) };
       this.#status.setRates(this.#frames.at(now_ms).perSecond, this.#bytes.at(now_ms).bytesPerSecond, this.#drawn.rate,
         this.#hand.report?.lease === "held" ? this.#hand.report.roundTripMs : undefined);
     }
-    this.#legend.update(this.#stage.tissue.range.top, this.#stage.sutures.tension.top, this.#stage.sutures.threads().length > 0);
+    this.#updateLegend();
     this.#handPanel.setTools(this.#stage.tools.views().map((view) => ({
       view, status: this.#toolStatus(view.tool), colour: this.#stage.tools.colour(view.tool),
     })));
@@ -308,6 +333,10 @@ export class App {
     this.#handPanel.update(this.#maxForce(), this.#nearest(), held?.holding ?? "");
     this.#pick.show(this.#stage.probe());
     this.#overlay.show(this.#connection, this.#stage.hasScene);
+  }
+
+  #updateLegend(): void {
+    this.#legend.update(this.#stage.tissue.range.top, this.#stage.sutures.tension.top, this.#stage.sutures.threads().length > 0);
   }
 
   #nearest(): { name: string; distance_m: number } | undefined {

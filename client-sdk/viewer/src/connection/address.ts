@@ -13,3 +13,11 @@ export function serverAddress(page: string, path = "/"): string {
   if (token) to.searchParams.set("token", token);
   return to.href;
 }
+
+/** Returns where the server of that WebSocket has `/metrics`, which asks for the same token. */
+export function metricsAddress(socket: string): string {
+  const to = new URL(socket);
+  to.protocol = to.protocol === "wss:" ? "https:" : "http:";
+  to.pathname = `${to.pathname.replace(/\/$/, "")}/metrics`;
+  return to.href;
+}

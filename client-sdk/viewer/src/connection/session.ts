@@ -7,6 +7,7 @@ import {
   clientMessageData, kSubprotocols, parseMessageData, parseServerText, type Channel,
 } from "../protocol/framing";
 import type { CommandKind, ServerStatus, ToolForce, ToolPose, Topic } from "../protocol/messages";
+import { metricsAddress } from "./address";
 import { backoffMs } from "./backoff";
 import type { DataMessage, FromWorker, ToWorker } from "./worker_messages";
 
@@ -81,7 +82,9 @@ export class Session implements HandOutput {
     const socket = new WebSocket(this.#url, kSubprotocols);
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
+    let opened = false;
     socket.onopen = () => {
+      opened = true;
       this.#attempt = 0;
       this.#everOpen = true;
       this.#post({ type: "connection", state: { phase: "open" } });
@@ -92,20 +95,32 @@ export class Session implements HandOutput {
       if (typeof data === "string") this.#onText(data);
       else if (data instanceof ArrayBuffer) this.#onFrame(data);
     };
-    socket.onclose = () => this.#onClose();
+    socket.onclose = () => this.#onClose(opened);
   }
 
-  #onClose(): void {
+  #onClose(opened: boolean): void {
     this.#socket = undefined;
     this.#channels.clear();
     this.#subscribed.clear();
     this.#dropHand();
     const delayMs = backoffMs(this.#attempt++, Math.random());
-    this.#post({
-      type: "connection",
-      state: { phase: "lost", attempt: this.#attempt, retryAtMs: Date.now() + delayMs, everOpen: this.#everOpen },
+    const attempt = this.#attempt;
+    const retryAtMs = Date.now() + delayMs;
+    const tell = (refused: boolean) => this.#post({
+      type: "connection", state: { phase: "lost", attempt, retryAtMs, everOpen: this.#everOpen, refused },
     });
+    tell(false);
     this.#retry = setTimeout(() => this.#connect(), delayMs);
+    if (!opened) void this.#isRefused().then((refused) => refused && !this.#socket && attempt === this.#attempt && tell(true));
+  }
+
+  /** A browser does not say why a WebSocket was closed to it; a page that asks for the same token tells. */
+  async #isRefused(): Promise<boolean> {
+    try {
+      return (await fetch(metricsAddress(this.#url), { method: "HEAD", cache: "no-store" })).status === 401;
+    } catch {
+      return false;
+    }
   }
 
   #onText(text: string): void {

@@ -3,10 +3,11 @@
 import type { Pose, Vec3 } from "../maths/vector";
 import type { CommandKind, Topic, Topics } from "../protocol/messages";
 
+/** `refused`: the server answers, and the token is missing or wrong. */
 export type ConnectionState =
   | { phase: "connecting"; attempt: number }
   | { phase: "open" }
-  | { phase: "lost"; attempt: number; retryAtMs: number; everOpen: boolean };
+  | { phase: "lost"; attempt: number; retryAtMs: number; everOpen: boolean; refused: boolean };
 
 /** How it stands with the lease of the tool that this page asks for. */
 export type LeaseState = "none" | "asking" | "held" | "refused";

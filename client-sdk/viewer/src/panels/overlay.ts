@@ -14,7 +14,7 @@ export class Overlay {
   }
 
   show(state: ConnectionState, hasScene: boolean): void {
-    const key = `${state.phase}/${hasScene}/${state.phase === "lost" ? state.attempt : 0}`;
+    const key = `${state.phase}/${hasScene}/${state.phase === "lost" ? `${state.attempt}${state.refused}` : ""}`;
     if (key === this.#key) return;
     this.#key = key;
     clearInterval(this.#timer);
@@ -34,11 +34,11 @@ export class Overlay {
     };
     tell();
     this.#timer = setInterval(tell, 250);
-    const why = state.everOpen
-      ? hasScene ? "The picture is the last one." : ""
-      : "Is the server running? A server that is not on this machine asks for a token: open the link that it printed.";
-    this.#say(state.everOpen ? "Connection lost" : "No answer", [why], false, wait,
-      h("button", { type: "button", class: "primary", onclick: () => this.#retry() }, "Try now"));
+    const lastPicture = hasScene ? "The picture is the last one." : "";
+    const retry = h("button", { type: "button", class: "primary", onclick: () => this.#retry() }, "Try now");
+    if (state.refused) this.#say("Access refused", ["This server asks for a token, and has been given none that holds.", lastPicture], false, tokenForm());
+    else if (state.everOpen) this.#say("Connection lost", [lastPicture], false, wait, retry);
+    else this.#say("No answer", ["Is the server running?"], false, wait, retry);
   }
 
   #say(title: string, texts: string[], busy: boolean, ...more: Node[]): void {
@@ -46,4 +46,16 @@ export class Overlay {
       busy ? h("div", { class: "spinner", "aria-hidden": "true" }) : undefined,
       h("h2", {}, title), ...texts.filter((text) => text !== "").map((text) => h("p", {}, text)), ...more));
   }
+}
+
+/** A token goes behind the `#`, where it stays in the browser; the page then begins anew with it. */
+function tokenForm(): HTMLElement {
+  const token = h("input", { type: "password", "aria-label": "Token", autocomplete: "off", required: true });
+  return h("form", {
+    class: "token",
+    onsubmit: (event) => {
+      event.preventDefault();
+      location.hash = new URLSearchParams({ token: token.value.trim() }).toString();
+    },
+  }, token, h("button", { type: "submit", class: "primary" }, "Open"));
 }

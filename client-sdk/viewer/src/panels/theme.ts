@@ -10,9 +10,10 @@ export class ThemeSwitch {
   #theme: Theme;
   readonly #changed: () => void;
 
-  constructor(changed: () => void) {
+  /** `asked`: instead of what the person chose before. */
+  constructor(changed: () => void, asked?: Theme) {
     this.#changed = changed;
-    this.#theme = kThemes.find((theme) => theme === localStorage.getItem(kKey)) ?? "auto";
+    this.#theme = asked ?? kThemes.find((theme) => theme === localStorage.getItem(kKey)) ?? "auto";
     matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => this.#apply());
     this.#apply();
   }

@@ -20,6 +20,10 @@ export interface SceneAxes {
 export const kPresets = ["Overview", "Front", "Side", "Top", "Needle"] as const;
 export type Preset = (typeof kPresets)[number];
 
+/** Returns the preset of that name, however it is capitalised. */
+export const presetNamed = (name: string): Preset | undefined =>
+  kPresets.find((preset) => preset.toLowerCase() === name.toLowerCase());
+
 /** Returns the axes of a scene within `box` whose needle, if any, is at `needle`: it lies in front. */
 export function sceneAxes(box: Box, needle?: Vec3): SceneAxes {
   const size = subtract(box.max, box.min);

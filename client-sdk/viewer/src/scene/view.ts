@@ -16,9 +16,6 @@ const kSlowFrame_ms = 45;
 const kFastFrame_ms = 20;
 const kLeastRatio = 0.6;
 
-/** `?quality=best` in the page's address: shadows and all pixels, however slow. For pictures. */
-const wantsBest = (): boolean => new URLSearchParams(location.search).get("quality") === "best";
-
 /** Whether a processor draws, without a GPU: shadows would cost it most of its time. */
 function isSoftware(context: WebGL2RenderingContext): boolean {
   const info = context.getExtension("WEBGL_debug_renderer_info");
@@ -50,18 +47,19 @@ export class View {
   onDrawn: (() => void) | undefined;
   framesDrawn = 0;
 
-  constructor(canvas: HTMLCanvasElement) {
+  /** `best`: shadows and all pixels, however slow. Throws where the browser has no WebGL 2. */
+  constructor(canvas: HTMLCanvasElement, best: boolean) {
     this.canvas = canvas;
     const context = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "high-performance" });
     if (!context) throw new Error("this browser has no WebGL 2, which the picture needs");
     this.#renderer = new WebGLRenderer({ canvas, context });
-    const plain = !wantsBest() && isSoftware(context);
+    const plain = !best && isSoftware(context);
     this.#renderer.toneMapping = NeutralToneMapping;
     this.#renderer.toneMappingExposure = 0.86;
     this.#renderer.shadowMap.enabled = !plain;
     this.#renderer.shadowMap.type = PCFShadowMap;
     this.#ratio = plain ? 0.75 : Math.min(devicePixelRatio, 2);
-    this.#adapts = !wantsBest();
+    this.#adapts = !best;
     this.#renderer.setPixelRatio(this.#ratio);
     this.#key.castShadow = !plain;
     this.#key.shadow.mapSize.set(2048, 2048);
@@ -147,6 +145,7 @@ export class View {
       this.camera.position.set(...place.position);
       this.#controls.target.set(...place.target);
       this.#controls.update();
+      this.camera.updateMatrixWorld();
     }
     this.wake();
   }
