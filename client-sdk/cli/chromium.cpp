@@ -60,6 +60,22 @@ std::string in_path(std::string_view name) {
   return {};
 }
 
+/// Returns our environment with another TMPDIR.
+std::vector<std::string> environment_with_temporary(const fs::path& folder) {
+  std::vector<std::string> variables{"TMPDIR=" + folder.string()};
+  for (char** variable = environ; *variable != nullptr; ++variable)
+    if (!std::string_view(*variable).starts_with("TMPDIR=")) variables.emplace_back(*variable);
+  return variables;
+}
+
+/// Returns pointers to `words` for a new process, which must not outlive them.
+std::vector<char*> pointers_to(std::vector<std::string>& words) {
+  std::vector<char*> pointers;
+  for (std::string& word : words) pointers.push_back(word.data());
+  pointers.push_back(nullptr);
+  return pointers;
+}
+
 /// Returns the last line of a file that says something.
 std::string last_line(const fs::path& path) {
   std::ifstream file(path);
@@ -123,9 +139,8 @@ void Chromium::start(const std::string& program) {
       "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"};
   if (::geteuid() == 0) words.emplace_back("--no-sandbox");  // Chromium refuses it to root
   words.emplace_back("about:blank");
-  std::vector<char*> arguments;
-  for (std::string& word : words) arguments.push_back(word.data());
-  arguments.push_back(nullptr);
+  // It leaves sockets and files in TMPDIR, too.
+  std::vector<std::string> variables = environment_with_temporary(folder_);
 
   // Chromium reads 3 and writes 4: one socket is both.
   posix_spawn_file_actions_t actions;
@@ -143,8 +158,8 @@ void Chromium::start(const std::string& program) {
   posix_spawnattr_setpgroup(&attributes, 0);
   // What its processes leave behind when they end comes to us, so that we know when all have.
   ::prctl(PR_SET_CHILD_SUBREAPER, 1);
-  const int fault =
-      ::posix_spawn(&pid_, program.c_str(), &actions, &attributes, arguments.data(), environ);
+  const int fault = ::posix_spawn(&pid_, program.c_str(), &actions, &attributes,
+                                  pointers_to(words).data(), pointers_to(variables).data());
   posix_spawnattr_destroy(&attributes);
   posix_spawn_file_actions_destroy(&actions);
   ::close(ends[1]);

@@ -26,12 +26,13 @@ export function launch() {
   });
 }
 
-/** Opens the page and waits for its first picture; a fault of the page fails the test that asked. */
+/** Opens the page, after `init` has run in it, and waits for its first picture; a fault of the page fails the test that asked. */
 export async function open(browser, server, options = {}) {
-  const { query = "", ...context } = options;
+  const { query = "", init = () => {}, ...context } = options;
   const page = await browser.newPage({ viewport: { width: 1280, height: 800 }, colorScheme: "dark", ...context });
   const faults = [];
   page.on("pageerror", (error) => faults.push(error.message));
+  await page.addInitScript(init);
   await page.goto(server.url + query);
   await page.waitForSelector("html[data-first-picture-ms]", { state: "attached" });
   return { page, faults };

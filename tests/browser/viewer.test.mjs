@@ -16,6 +16,17 @@ const tissue = (r, g, b) => r > 90 && r > g + 18 && g >= b - 30 && r > b + 24;
 /** Brighter than the ground and without a colour: steel. */
 const steel = (r, g, b) => Math.min(r, g, b) > 120 && Math.max(r, g, b) - Math.min(r, g, b) < 26;
 
+/** Runs in the page: a gamepad as a browser shows it, pushed by `window.pushed`; what it was told to feel is `window.felt`. */
+function standInPad() {
+  window.pushed = { connected: true, axes: [0, 0, 0, 0], down: [] };
+  window.felt = [];
+  const vibrationActuator = { playEffect: (_, effect) => (window.felt.push(effect), Promise.resolve("complete")) };
+  navigator.getGamepads = () => [window.pushed.connected ? {
+    id: "stand-in", index: 0, mapping: "standard", connected: true, axes: window.pushed.axes, vibrationActuator,
+    buttons: Array.from({ length: 17 }, (_, i) => ({ pressed: window.pushed.down.includes(i), value: Number(window.pushed.down.includes(i)) })),
+  } : null, null, null, null];
+}
+
 describe("the viewer", { timeout: 240_000 }, () => {
   let server, browser;
   before(async () => {
@@ -124,6 +135,51 @@ describe("the viewer", { timeout: 240_000 }, () => {
     await event(opened, "ToolReturned");
     await lease(opened, "none");
     await other.locator('[data-tool="driver"]').getByRole("button").and(other.locator(":enabled")).waitFor();
+  });
+
+  it("is led by a gamepad, which shakes with the force, and gives the tool back when the pad is unplugged", async () => {
+    const watcher = await page();
+    const opened = await page({ init: standInPad });
+    const [kA, kB, kLeftShoulder, kRightTrigger, kStart] = [0, 1, 4, 7, 9];
+    const set = (change) => opened.evaluate((c) => Object.assign(window.pushed, c), change);
+    const press = async (...buttons) => {
+      await set({ down: buttons });
+      await nextFrame(opened);
+      await nextFrame(opened);
+    };
+    await press(kStart);
+    await press();
+    await lease(opened, "held");
+
+    // Its pose arrives: the page of somebody else sees the tool move to the right, and only with the shoulder.
+    const label = watcher.locator(".label", { hasText: /^driver/ });
+    await label.waitFor();
+    const x = async () => (await label.boundingBox()).x;
+    await set({ axes: [1, 0, 0, 0] });
+    await opened.getByText("Gamepad: hold the left shoulder to move.").waitFor();
+    const before = await x();
+    await press(kLeftShoulder);
+    while ((await x()) < before + 20) await nextFrame(watcher);
+    await set({ axes: [0, 0, 0, 0] });
+
+    await press(kB);
+    await press();
+    await opened.getByText(/needle: 0\.\d mm from the jaw/).waitFor();
+    await press(kA);
+    await press();
+    await event(opened, "Grasp");
+    await press(kLeftShoulder, kRightTrigger);
+    await event(opened, "Puncture");
+    await press();
+    const felt = await opened.evaluate(() => window.felt);
+    assert.ok(felt.length > 0 && felt.every(({ weakMagnitude: m }) => m > 0 && m <= 1), JSON.stringify(felt.slice(0, 5)));
+    assert.ok(Math.max(...felt.map((each) => each.strongMagnitude)) > Math.min(...felt.map((each) => each.strongMagnitude)));
+
+    await set({ connected: false });
+    await opened.evaluate(() => window.dispatchEvent(new Event("gamepaddisconnected")));
+    await lease(opened, "none");
+    await opened.locator('.events li[data-kind="Page"]', { hasText: "the gamepad was unplugged" }).waitFor();
+    assert.deepEqual(context[1].faults, []);
   });
 
   it("gives the tool back when the page is hidden", async () => {

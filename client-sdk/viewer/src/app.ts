@@ -42,7 +42,7 @@ export class App {
   readonly #stage: Stage;
   readonly #hand: Hand;
   readonly #keys = new HeldKeys();
-  readonly #pad = new Pad();
+  readonly #pad = new Pad(() => navigator.getGamepads?.() ?? []);
   readonly #bar: TopBar;
   readonly #overlay: Overlay;
   readonly #legend: Legend;
@@ -187,6 +187,7 @@ export class App {
       if (document.hidden) this.#hand.release("the page was hidden");
     });
     window.addEventListener("pagehide", () => this.#hand.release("the page was left"));
+    window.addEventListener("gamepaddisconnected", () => this.#hand.release("the gamepad was unplugged"));
     window.addEventListener("blur", () => {
       this.#keys.clear();
       this.#hand.release("the window lost the focus");
@@ -308,6 +309,7 @@ export class App {
   #updateHand(now_ms: number, elapsed_s: number): void {
     const pad = this.#pad.read();
     if (pad?.hold) this.#toggleHold();
+    this.#handPanel.padHeldBack = pad?.heldBack === true;
     if (!this.#hand.tool) return;
     if (pad?.jaw) this.#handPanel.toggleJaw();
     if (pad?.reach) this.#handPanel.reach();

@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { HandReport } from "../src/connection/worker_messages";
-import { rumble } from "../src/hand/gamepad";
+import { Pad, rumble } from "../src/hand/gamepad";
 import { HandDevice, kPosePeriod_ms, kSilence_ms } from "../src/hand/hand_device";
 import { carried, distanceToCourse, driven, graspShare, needleMotion, pointAt, reachNeedle } from "../src/hand/needle_course";
 import { kMaxSpeed_m_per_s, kMaxSpin_rad_per_s, PosePacer } from "../src/hand/pacer";
@@ -175,6 +175,65 @@ test("Shift turns and Ctrl drives, whatever the mode is", () => {
   assert.equal(dragMode(keys, "drive"), "drive");
   assert.equal(dragMode({ ...keys, shiftKey: true }, "move"), "turn");
   assert.equal(dragMode({ ...keys, metaKey: true }, "turn"), "drive");
+});
+
+/** A pad of the standard layout as a browser shows it. */
+function pushed(over: { axes?: number[]; down?: Record<number, number> } = {}): Gamepad {
+  return {
+    connected: true, mapping: "standard", axes: over.axes ?? [0, 0, 0, 0],
+    buttons: Array.from({ length: 17 }, (_, i) => ({ pressed: (over.down?.[i] ?? 0) > 0.5, value: over.down?.[i] ?? 0 })),
+  } as unknown as Gamepad;
+}
+const [kLeftShoulder, kRightShoulder, kLeftTrigger, kRightTrigger] = [4, 5, 6, 7];
+const read = (pad: Gamepad) => new Pad(() => [null, pad]).read()!;
+
+test("a pad moves nothing unless its left shoulder is held", () => {
+  const all = { axes: [1, 1, 1, 1], down: { [kRightTrigger]: 1 } };
+  const free = read(pushed(all));
+  assert.deepEqual(free.rates, { move: [0, 0, 0], turn: [0, 0, 0], drive: 0 });
+  assert.equal(free.heldBack, true);
+  const led = read(pushed({ ...all, down: { ...all.down, [kLeftShoulder]: 1 } }));
+  assert.ok(length(led.rates.move) > 0 && length(led.rates.turn) > 0 && led.rates.drive > 0);
+  assert.equal(led.heldBack, false);
+  assert.equal(read(pushed()).heldBack, false, "a pad at rest asks for nothing");
+  assert.equal(new Pad(() => [null, { ...pushed(), mapping: "" } as Gamepad]).read(), undefined, "another layout");
+});
+
+test("sticks go across the view, into depth, and turn; the right hand drives", () => {
+  const led = (axes: number[], down: Record<number, number> = {}) => read(pushed({ axes, down: { [kLeftShoulder]: 1, ...down } })).rates;
+  // Camera axes: right, up, towards the eye. A browser's sticks count right and down.
+  assert.deepEqual(led([1, 0, 0, 0]).move.map(Math.sign), [1, -0, 0]);
+  assert.deepEqual(led([0, -1, 0, 0]).move.map(Math.sign), [0, 1, 0]);
+  assert.deepEqual(led([0, 0, 0, 1]).move.map(Math.sign), [0, -0, 1]);
+  assert.deepEqual(led([0, 0, -1, 0]).turn.map(Math.sign), [0, -1, 0]);
+  assert.deepEqual(led([0.1, -0.1, 0.1, 0.1]), { move: [0, -0, 0], turn: [0, 0, 0], drive: 0 }, "a stick at rest is never quite at zero");
+  // Half a stick is a quarter of the way and less: near the middle it is fine.
+  assert.ok(led([0.5, 0, 0, 0]).move[0] < 0.25 * led([1, 0, 0, 0]).move[0]);
+  near(led([0, 0, 0, 0], { [kRightTrigger]: 0.5 }).drive, 0.5 * led([0, 0, 0, 0], { [kRightTrigger]: 1 }).drive, 1e-12);
+  near(led([0, 0, 0, 0], { [kRightShoulder]: 1 }).drive, -led([0, 0, 0, 0], { [kRightTrigger]: 1 }).drive, 1e-12);
+  near(led([1, 0, 0, 0], { [kLeftTrigger]: 1 }).move[0], 0.25 * led([1, 0, 0, 0]).move[0], 1e-12);
+});
+
+test("a button of a pad counts once, however long it is pressed", () => {
+  let now = pushed();
+  const pad = new Pad(() => [now]);
+  const presses = [{}, { 0: 1 }, { 0: 1, 1: 1 }, {}, { 0: 1, 9: 1 }].map((down) => {
+    now = pushed({ down });
+    const { jaw, reach, hold } = pad.read()!;
+    return `${jaw ? "A" : ""}${reach ? "B" : ""}${hold ? "S" : ""}`;
+  });
+  assert.deepEqual(presses, ["", "A", "B", "", "AS"]);
+});
+
+test("a pad feels a force at most every 90 ms, and none that is too small", () => {
+  const felt: number[] = [];
+  const now = { ...pushed(), vibrationActuator: {
+    playEffect: (_: string, effect: { strongMagnitude: number }) => (felt.push(effect.strongMagnitude), Promise.resolve("complete")),
+  } } as unknown as Gamepad;
+  const pad = new Pad(() => [now]);
+  for (const at_ms of [100, 110, 150, 200]) pad.feel([0, 2, 0], 4, at_ms);
+  pad.feel([0, 0.01, 0], 4, 400);
+  assert.deepEqual(felt, [0.5 ** 1.5, 0.5 ** 1.5]);
 });
 
 test("a pad shakes more with more force, and not without", () => {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { serverAddress } from "../src/connection/address";
+import { metricsAddress, serverAddress } from "../src/connection/address";
 import { backoffMs } from "../src/connection/backoff";
 import { Codec } from "../src/protocol/codec";
 import { toolId } from "../src/protocol/fnv";
@@ -97,6 +97,8 @@ test("the socket is the page's host, with the token of its fragment", () => {
   assert.equal(serverAddress("http://127.0.0.1:8080/"), "ws://127.0.0.1:8080/");
   assert.equal(serverAddress("https://host:1/index.html?quality=best#token=a%2Bb"), "wss://host:1/?token=a%2Bb");
   assert.equal(serverAddress("http://localhost:5173/", "/suture"), "ws://localhost:5173/suture");
+  assert.equal(metricsAddress("wss://host:1/?token=a%2Bb"), "https://host:1/metrics?token=a%2Bb");
+  assert.equal(metricsAddress("ws://localhost:5173/suture"), "http://localhost:5173/suture/metrics");
 });
 
 test("waiting doubles up to eight seconds, and never all pages at once", () => {

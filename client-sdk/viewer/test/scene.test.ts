@@ -5,12 +5,14 @@ import { cross, dot, length, subtract, type Vec3 } from "../src/maths/vector";
 import { eventText } from "../src/panels/events";
 import { Recent } from "../src/panels/recent";
 import { Rate } from "../src/panels/status";
+import { pageOptions } from "../src/page_options";
 import { EventKind, type ServerEvent } from "../src/protocol/messages";
-import { kPresets, presetPlace, sceneAxes } from "../src/scene/cameras";
+import { kPresets, presetNamed, presetPlace, sceneAxes } from "../src/scene/cameras";
 import { AutoRange, colourAt, kStressMaps, niceCeil, niceTicks, percentile } from "../src/scene/colour_map";
 import { splitCreases } from "../src/scene/creases";
 import { tensionAtPoints } from "../src/scene/sutures";
 import { mixInto, PlayClock, Timeline } from "../src/scene/timeline";
+import { SceneWatch } from "../src/snapshot";
 
 test("a frame is shown between its neighbours", () => {
   const timeline = new Timeline<number>();
@@ -126,4 +128,31 @@ test("an event is a line for people", () => {
   assert.equal(eventText(event), "needle punctures proximal (0.0512 N)");
   assert.equal(eventText({ ...event, kind: EventKind.Fault, subject: "driver", object: "", unit: "", faults: 8, text: "a pose that jumps: the force fades" }),
     "driver: a pose that jumps: the force fades");
+});
+
+test("an address asks for a picture, a theme and a view, and for nothing by mistake", () => {
+  assert.deepEqual(pageOptions(""), { best: false, theme: undefined, snapshot: undefined });
+  assert.deepEqual(pageOptions("?quality=best&theme=pink"), { best: true, theme: undefined, snapshot: undefined });
+  assert.deepEqual(pageOptions("?snapshot=0&view=top"), { best: false, theme: undefined, snapshot: undefined });
+  assert.deepEqual(pageOptions("?snapshot=1&view=a%26b&theme=light"), { best: true, theme: "light", snapshot: { view: "a&b" } });
+  assert.equal(presetNamed("nEEDLE"), "Needle");
+  assert.equal(presetNamed("toString"), undefined);
+});
+
+test("a picture waits for every tissue of one scene, and for two statuses after that", () => {
+  const scene = new SceneWatch();
+  assert.match(scene.waits, /no scene/);
+  scene.status(1n, 2);
+  scene.frame(1n, "proximal");
+  assert.match(scene.waits, /1 of the scene's 2 tissues/);
+  scene.status(1n, 2);
+  scene.frame(1n, "distal");
+  assert.equal(scene.complete, false);
+  scene.status(1n, 2);
+  assert.equal(scene.complete, false);
+  scene.status(1n, 2);
+  assert.equal(scene.complete, true);
+  assert.equal(scene.waits, "");
+  scene.frame(2n, "proximal");
+  assert.equal(scene.complete, false, "what came before a reset is of another scene");
 });

@@ -40,6 +40,8 @@ export class HandPanel {
   readonly #near = h("span", {});
   readonly #meter: HTMLElement;
   #leaseText = "";
+  /** A gamepad is pushed, without the shoulder that lets it move the tool. */
+  padHeldBack = false;
 
   constructor(hand: Hand, keys: HeldKeys) {
     this.#hand = hand;
@@ -141,7 +143,7 @@ export class HandPanel {
     setText(this.#force, newton(force_n));
     this.#jaw.setAttribute("aria-pressed", String(this.#hand.closed));
     setText(this.#jaw, this.#hand.closed ? "Open jaw" : "Close jaw");
-    setText(this.#near, holding !== "" ? `The jaw holds ${holding}.`
+    setText(this.#near, this.padHeldBack ? "Gamepad: hold the left shoulder to move." : holding !== "" ? `The jaw holds ${holding}.`
       : this.#hand.reaching ? "On the way to the needle …"
         : near ? `${near.name}: ${mm(near.distance_m)} from the jaw` : "");
   }

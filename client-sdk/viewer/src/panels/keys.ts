@@ -29,8 +29,10 @@ const kView: [string, string][] = [
 ];
 const kPad: [string, string][] = [
   ["Start", "holds the first free tool, or lets go"],
+  ["left shoulder", "hold it: nothing moves without"],
   ["sticks", "left: across the view; right: depth, turn"],
-  ["triggers, shoulders", "needle back and forward"],
+  ["right trigger, shoulder", "needle forward, back"],
+  ["left trigger", "slowly"],
   ["A / B", "jaw / to the needle"],
 ];
 
