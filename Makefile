@@ -57,6 +57,11 @@ deps-node: viewer
 viewer-picture: build deps-node ## Draw the page in a browser: docs/guide/viewer.png
 	@node tests/browser/picture.mjs docs/guide/viewer.png
 
+.PHONY: snapshot-picture
+snapshot-picture: build viewer ## Draw a paused scene by `suture snapshot`: docs/guide/snapshot.png
+	$(call install-packages,$(BROWSER_PACKAGES))
+	@BIN=build/release OUT=docs/guide/snapshot.png DOMAIN=$(or $(DOMAIN),0) server/scenes/snapshot.sh
+
 RUN_DIR := out/run
 SCENE := server/scenes/anastomosis/scene.toml
 SURGEON := server/scenes/anastomosis/surgeon.csv
