@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 import assert from "node:assert/strict";
-import { readdirSync, statSync } from "node:fs";
+import { createHash } from "node:crypto";
+import { mkdtempSync, readdirSync, rmSync, statSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, beforeEach, describe, it } from "node:test";
 import { event, figure, launch, lease, missing, nextFrame, open, pixels, root, Server } from "./support.mjs";
@@ -137,6 +139,20 @@ describe("the viewer", { timeout: 240_000 }, () => {
     await other.locator('[data-tool="driver"]').getByRole("button").and(other.locator(":enabled")).waitFor();
   });
 
+  it("works the jaw by the space bar, whichever button was clicked before", async () => {
+    const opened = await page();
+    await opened.locator('[data-tool="driver"]').getByRole("button").click();
+    await lease(opened, "held");
+    for (const clicked of ["Turn", "To the needle"]) {
+      await opened.getByRole("button", { name: clicked, exact: true }).click();
+      await opened.keyboard.press("Space");
+      await opened.getByRole("button", { name: "Open jaw" }).waitFor();
+      await opened.keyboard.press("Space");
+      await opened.getByRole("button", { name: "Close jaw" }).waitFor();
+    }
+    await lease(opened, "held");
+  });
+
   it("is led by a gamepad, which shakes with the force, and gives the tool back when the pad is unplugged", async () => {
     const watcher = await page();
     const opened = await page({ init: standInPad });
@@ -220,6 +236,31 @@ describe("the viewer", { timeout: 240_000 }, () => {
     assert.ok(warm.left > 0.03 && warm.right > 0.03, JSON.stringify(warm));
     await opened.touchscreen.tap(box.x + 0.36 * box.width, box.y + 0.5 * box.height);
     await opened.getByRole("region", { name: "Picked place" }).waitFor();
+  });
+
+  it("is refused without a token, says so, and is let in with one that is typed", async () => {
+    const folder = mkdtempSync(join(tmpdir(), "suture-browser-"));
+    const tokens = join(folder, "tokens.toml");
+    const token = "open+#sesame";
+    writeFileSync(tokens, `[[token]]\nname = "test"\nsha256 = "${createHash("sha256").update(token).digest("hex")}"\nrights = []\n`);
+    const guarded = await Server.start({ options: ["--http-tokens", tokens] });
+    const opened = await browser.newPage();
+    try {
+      await opened.goto(guarded.url);
+      await opened.getByRole("heading", { name: "Access refused" }).waitFor();
+      const bring = async (tried) => {
+        await opened.getByLabel("Token").fill(tried);
+        await Promise.all([opened.waitForEvent("load"), opened.keyboard.press("Enter")]);
+      };
+      await bring("wrong");
+      await opened.getByRole("heading", { name: "Access refused" }).waitFor();
+      await bring(token);
+      await opened.waitForSelector("html[data-first-picture-ms]", { state: "attached" });
+    } finally {
+      await opened.close();
+      await guarded.end();
+      rmSync(folder, { recursive: true });
+    }
   });
 
   it("says that the connection is lost, and comes back by itself", async () => {

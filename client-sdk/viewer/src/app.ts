@@ -63,6 +63,7 @@ export class App {
   #lastStatus: ServerStatus | undefined;
   #firstBody = "";
   #slow = false;
+  #held = false;
   #updated_ms = 0;
   #drawn = { frames: 0, at_ms: 0, rate: 0 };
 
@@ -93,8 +94,11 @@ export class App {
       announce(`${tool} given back: ${why}`);
     };
     this.#hand.onChange = () => {
-      this.#view.handMode = this.#hand.tool !== undefined;
-      document.documentElement.toggleAttribute("data-hand", this.#hand.tool !== undefined);
+      const holds = this.#hand.tool !== undefined;
+      this.#view.handMode = holds;
+      // The keys are the tool's now, not those of the button that took it.
+      if (document.documentElement.toggleAttribute("data-hand", holds) && !this.#held) this.#focusPicture();
+      this.#held = holds;
       this.#view.wake();
     };
     this.#bar = new TopBar({
@@ -192,6 +196,11 @@ export class App {
       this.#keys.clear();
       this.#hand.release("the window lost the focus");
     });
+    // A button that was clicked would keep the space bar, which works the jaw. One that was reached by keys keeps it.
+    window.addEventListener("click", (event) => {
+      const byPointer = event.detail > 0 && (event.target as Element).closest("button") !== null;
+      if (byPointer && this.#hand.tool) this.#focusPicture();
+    });
     window.addEventListener("keydown", (event) => this.#onKey(event));
     window.addEventListener("keyup", (event) => this.#keys.release(event.code));
   }
@@ -237,6 +246,10 @@ export class App {
     if (!found) return;
     event.preventDefault();
     found.act();
+  }
+
+  #focusPicture(): void {
+    this.#view.canvas.focus({ preventScroll: true });
   }
 
   #moveView(code: string): boolean {

@@ -217,7 +217,8 @@ test("sticks go across the view, into depth, and turn; the right hand drives", (
 test("a button of a pad counts once, however long it is pressed", () => {
   let now = pushed();
   const pad = new Pad(() => [now]);
-  const presses = [{}, { 0: 1 }, { 0: 1, 1: 1 }, {}, { 0: 1, 9: 1 }].map((down) => {
+  const steps: Record<number, number>[] = [{}, { 0: 1 }, { 0: 1, 1: 1 }, {}, { 0: 1, 9: 1 }];
+  const presses = steps.map((down) => {
     now = pushed({ down });
     const { jaw, reach, hold } = pad.read()!;
     return `${jaw ? "A" : ""}${reach ? "B" : ""}${hold ? "S" : ""}`;

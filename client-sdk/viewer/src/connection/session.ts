@@ -111,7 +111,11 @@ export class Session implements HandOutput {
     });
     tell(false);
     this.#retry = setTimeout(() => this.#connect(), delayMs);
-    if (!opened) void this.#isRefused().then((refused) => refused && !this.#socket && attempt === this.#attempt && tell(true));
+    if (!opened) void this.#isRefused().then((refused) => {
+      if (!refused || this.#socket || attempt !== this.#attempt) return;
+      clearTimeout(this.#retry); // a person has to do something first
+      tell(true);
+    });
   }
 
   /** A browser does not say why a WebSocket was closed to it; a page that asks for the same token tells. */

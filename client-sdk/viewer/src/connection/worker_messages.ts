@@ -3,7 +3,7 @@
 import type { Pose, Vec3 } from "../maths/vector";
 import type { CommandKind, Topic, Topics } from "../protocol/messages";
 
-/** `refused`: the server answers, and the token is missing or wrong. */
+/** `refused`: the server answers, and the token is missing or wrong; nothing is tried again by itself. */
 export type ConnectionState =
   | { phase: "connecting"; attempt: number }
   | { phase: "open" }

@@ -36,7 +36,9 @@ export class Overlay {
     this.#timer = setInterval(tell, 250);
     const lastPicture = hasScene ? "The picture is the last one." : "";
     const retry = h("button", { type: "button", class: "primary", onclick: () => this.#retry() }, "Try now");
-    if (state.refused) this.#say("Access refused", ["This server asks for a token, and has been given none that holds.", lastPicture], false, tokenForm());
+    if (state.refused)
+      this.#say("Access refused", ["This server asks for a token, and has been given none that holds.", lastPicture], false,
+        tokenForm(), h("button", { type: "button", onclick: () => this.#retry() }, "Try again"));
     else if (state.everOpen) this.#say("Connection lost", [lastPicture], false, wait, retry);
     else this.#say("No answer", ["Is the server running?"], false, wait, retry);
   }
