@@ -76,12 +76,14 @@ std::vector<char*> pointers_to(std::vector<std::string>& words) {
   return pointers;
 }
 
-/// Returns the last line of a file that says something.
-std::string last_line(const fs::path& path) {
-  std::ifstream file(path);
+/// Returns why Chromium gave up, as it wrote to its log: the fatal line, or else the last one.
+std::string last_word(const fs::path& log) {
+  std::ifstream file(log);
   std::string last;
-  for (std::string line; std::getline(file, line);)
+  for (std::string line; std::getline(file, line);) {
+    if (line.find(":FATAL:") != std::string::npos) return line;
     if (!line.empty()) last = line;
+  }
   return last;
 }
 
@@ -274,7 +276,7 @@ void Chromium::wait_for(short readiness) {
 }
 
 void Chromium::throw_ended() {
-  const std::string said = last_line(folder_ / "stderr");
+  const std::string said = last_word(folder_ / "stderr");
   throw Error(ErrorCode::kNetwork,
               "the browser ended before the picture was there" +
                   (said.empty() ? std::string() : ": " + said),

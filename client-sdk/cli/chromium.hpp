@@ -39,6 +39,7 @@ class Chromium {
 
   /// Opens an empty page, which `call` then speaks of.
   void open_page();
+  [[nodiscard]] bool has_page() const noexcept { return !page_.empty(); }
   /// Asks for `method` and returns its result.
   /// Throws suture::Error kNetwork where the browser refuses, or has ended; Interrupted; TimedOut.
   nlohmann::json call(const std::string& method, const nlohmann::json& parameters);

@@ -112,6 +112,7 @@ void await_picture(Chromium& browser, const std::string& url) {
 
 /// Returns why there is no picture yet: the page's word, where it gives one.
 std::string why_late(Chromium& browser) {
+  if (!browser.has_page()) return {};
   browser.set_deadline(Chromium::Clock::now() + kLastWord);
   try {
     const Json answer = browser.call(
@@ -172,10 +173,10 @@ int run_snapshot(const SnapshotArguments& arguments) {
       file.commit(picture_of(browser, arguments));
     } catch (const TimedOut&) {
       const std::string why = why_late(browser);
-      throw Error(ErrorCode::kNetwork,
-                  "no picture within the time given: " +
-                      (why.empty() ? "the browser and its page are not ready" : why),
-                  "see what the page shows in a browser, or wait longer by --timeout");
+      throw Error(
+          ErrorCode::kNetwork,
+          "no picture within the time given: " + (why.empty() ? "the page has not come" : why),
+          "see what the page shows in a browser, or wait longer by --timeout");
     }
   } catch (const Interrupted&) {
     return kInterrupted;
