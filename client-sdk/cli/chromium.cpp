@@ -49,7 +49,7 @@ bool is_program(const fs::path& path) {
 
 /// Returns the program of that name in PATH; empty where there is none.
 std::string in_path(std::string_view name) {
-  const char* const folders = std::getenv("PATH");
+  const char* const folders = std::getenv("PATH");  // NOLINT(concurrency-mt-unsafe)
   std::string_view left = folders == nullptr ? "" : folders;
   while (!left.empty()) {
     const std::size_t colon = std::min(left.find(':'), left.size());

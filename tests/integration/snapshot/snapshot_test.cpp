@@ -12,6 +12,7 @@
 #include <fstream>
 #include <memory>
 #include <sstream>
+#include <stdexcept>
 
 #include "gateway/gateway.hpp"
 #include "support/process.hpp"
@@ -43,10 +44,8 @@ struct Picture {
   explicit Picture(const std::string& file) {
     png_image image{};
     image.version = PNG_IMAGE_VERSION;
-    if (png_image_begin_read_from_file(&image, file.c_str()) == 0) {
-      ADD_FAILURE() << file << ": " << image.message;
-      return;
-    }
+    if (png_image_begin_read_from_file(&image, file.c_str()) == 0)
+      throw std::runtime_error(file + ": " + image.message);
     image.format = PNG_FORMAT_RGB;
     width = static_cast<int>(image.width);
     height = static_cast<int>(image.height);
