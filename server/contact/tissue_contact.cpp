@@ -175,6 +175,13 @@ void TissueContact::renew_normals(std::span<const Vec3> positions_m) {
   }
 }
 
+/// Returns the directions that face one of `triangles`.
+geometry::OpposingDirections TissueContact::opposing(
+    std::span<const std::int32_t> triangles) const {
+  const auto normal = [&](std::size_t i) -> const Vec3& { return normals_[at(triangles[i])]; };
+  return {geometry::DirectionCone::around(triangles.size(), normal), kFacingCosine};
+}
+
 /// Visits (triangle, distance from it) where the surface faces `vertex` in the box of `radius_m`.
 template <typename Visit>
 void TissueContact::for_each_facing(std::int32_t vertex, double radius_m,
@@ -184,10 +191,7 @@ void TissueContact::for_each_facing(std::int32_t vertex, double radius_m,
   const Vec3& x = positions_m[at(vertex)];
   const Vec3 half = Vec3::Constant(radius_m);
   const auto own = features_.triangles_at(vertex);
-  auto cone = geometry::DirectionCone::of(normals_[at(own[0])]);
-  for (const auto mine : own)
-    cone = geometry::DirectionCone::merged(cone, geometry::DirectionCone::of(normals_[at(mine)]));
-  tree.for_each_opposing({x - half, x + half}, cones_, cone, kFacingCosine, [&](std::int32_t t) {
+  tree.for_each_opposing({x - half, x + half}, cones_, opposing(own), [&](std::int32_t t) {
     const auto& corners = triangles[at(t)];
     if (shares_vertex(corners, vertex)) return;
     const Vec3& n = normals_[at(t)];
@@ -265,15 +269,12 @@ void TissueContact::search(std::span<const Vec3> positions_m, const geometry::Tr
     const SurfaceEdge& edge = edges[i];
     const Vec3 &a = positions_m[at(edge.vertices[0])], &b = positions_m[at(edge.vertices[1])];
     near_edge_[i].clear();
-    auto cone = geometry::DirectionCone::of(normals_[at(edge.triangles[0])]);
-    if (edge.triangles[1] >= 0)
-      cone = geometry::DirectionCone::merged(
-          cone, geometry::DirectionCone::of(normals_[at(edge.triangles[1])]));
+    const std::span<const std::int32_t> own(edge.triangles.data(), edge.triangles[1] >= 0 ? 2 : 1);
     const double within = look_for(edge_clear_[i]);
     double nearest = within;
     const Vec3 half = Vec3::Constant(within);
     const geometry::Box box(a.cwiseMin(b) - half, a.cwiseMax(b) + half);
-    tree.for_each_opposing(box, cones_, cone, kFacingCosine, [&](std::int32_t t) {
+    tree.for_each_opposing(box, cones_, opposing(own), [&](std::int32_t t) {
       if (!facing(edge.triangles[0], t) &&
           !(edge.triangles[1] >= 0 && facing(edge.triangles[1], t)))
         return;

@@ -98,6 +98,8 @@ class TissueContact {
 
  private:
   void renew_normals(std::span<const Vec3> positions_m);
+  [[nodiscard]] geometry::OpposingDirections opposing(
+      std::span<const std::int32_t> triangles) const;
   template <typename Visit>
   void for_each_facing(std::int32_t vertex, double radius_m, std::span<const Vec3> positions_m,
                        const geometry::TriangleTree& tree, Visit&& visit) const;

@@ -83,7 +83,7 @@ DirectionCone DirectionCone::merged(const DirectionCone& a, const DirectionCone&
   out.all = a.all || b.all;
   const Vec3 sum = a.axis + b.axis;
   const double norm = sum.norm();
-  if (out.all || norm < 1e-6) {
+  if (out.all || norm < kNoMean) {
     out.all = true;
     return out;
   }
@@ -101,15 +101,10 @@ DirectionCone DirectionCone::merged(const DirectionCone& a, const DirectionCone&
   return out;
 }
 
-bool DirectionCone::may_oppose(const DirectionCone& other, double cosine_max) const {
-  if (all || other.all) return true;
-  // The widest angle between the two is that of the axes, α, and both half angles, β and γ. It
-  // stays under the limit θ ≥ 90° where α < θ − β − γ.
+OpposingDirections::OpposingDirections(const DirectionCone& own, double cosine_max) : own_(own) {
   const double limit_sine = std::sqrt(std::max(0.0, 1.0 - cosine_max * cosine_max));
-  const double c = cosine_max * cosine + limit_sine * sine;  // cos(θ − β)
-  const double s = limit_sine * cosine - cosine_max * sine;  // sin(θ − β) > 0
-  if (s * other.cosine - c * other.sine <= 0.0) return true;
-  return axis.dot(other.axis) < c * other.cosine + s * other.sine;
+  cosine_ = cosine_max * own.cosine + limit_sine * own.sine;
+  sine_ = limit_sine * own.cosine - cosine_max * own.sine;
 }
 
 void TriangleTree::fit_cones(std::span<const Vec3> normals,
@@ -121,14 +116,11 @@ void TriangleTree::fit_cones(std::span<const Vec3> normals,
       cones[n] = DirectionCone::merged(cones[n + 1], cones[static_cast<std::size_t>(node.right)]);
       continue;
     }
-    bool first = true;
-    for (std::int32_t i = node.first; i < node.first + node.count; ++i) {
-      const Vec3& normal = normals[static_cast<std::size_t>(order_[static_cast<std::size_t>(i)])];
-      if (normal.isZero()) continue;
-      const DirectionCone one = DirectionCone::of(normal);
-      cones[n] = first ? one : DirectionCone::merged(cones[n], one);
-      first = false;
-    }
+    const std::int32_t* triangle = order_.data() + node.first;
+    cones[n] = DirectionCone::around(static_cast<std::size_t>(node.count),
+                                     [&](std::size_t i) -> const Vec3& {
+                                       return normals[static_cast<std::size_t>(triangle[i])];
+                                     });
   }
 }
 

@@ -6,7 +6,9 @@
 #pragma once
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -31,13 +33,33 @@ struct DirectionCone {
   Vec3 axis = Vec3::UnitZ();
   double cosine = 1.0, sine = 0.0;  ///< of the angle
   bool all = false;
+  /// Directions whose sum is shorter than this have no mean.
+  static constexpr double kNoMean = 1e-6;
 
-  /// Returns the cone of one direction.
-  [[nodiscard]] static DirectionCone of(const Vec3& direction) { return {direction, 1.0, 0.0}; }
+  /// Returns the cone around the mean of `direction(i)`, i < `count`, each of length one; that of
+  /// all directions where one is zero.
+  template <typename Direction>
+  [[nodiscard]] static DirectionCone around(std::size_t count, Direction&& direction);
   /// Returns a cone that holds both.
   [[nodiscard]] static DirectionCone merged(const DirectionCone& a, const DirectionCone& b);
-  /// Whether some direction of each may enclose an angle with a cosine below `cosine_max` ≤ 0.
-  [[nodiscard]] bool may_oppose(const DirectionCone& other, double cosine_max) const;
+};
+
+/// The directions that enclose an angle with a cosine below `cosine_max` ≤ 0 with some direction of
+/// a cone.
+class OpposingDirections {
+ public:
+  OpposingDirections(const DirectionCone& own, double cosine_max);
+  /// Whether `other` may hold one of them. Where it says no, it does not.
+  [[nodiscard]] bool may_be_in(const DirectionCone& other) const {
+    if (own_.all || other.all || sine_ * other.cosine - cosine_ * other.sine <= 0.0) return true;
+    return own_.axis.dot(other.axis) < cosine_ * other.cosine + sine_ * other.sine;
+  }
+
+ private:
+  // The widest angle between the two cones is that of the axes, α, and both half angles, β and γ.
+  // It stays under the limit θ ≥ 90° where α < θ − β − γ.
+  DirectionCone own_;
+  double cosine_, sine_;  // of θ − β
 };
 
 /// Finds the triangles near something. Queries: any number of threads while nobody refits.
@@ -59,15 +81,15 @@ class TriangleTree {
   void for_each_overlap(const Box& box, Visit&& visit) const;
 
   /// Fits a cone around the normals below each node into `cones`, one a node. `normals`: one a
-  /// triangle, of length one (or zero for a triangle without area, which no cone holds).
+  /// triangle, of length one (or zero for a triangle without area: its cones hold all directions).
   void fit_cones(std::span<const Vec3> normals, std::vector<DirectionCone>& cones) const;
 
   /// Calls `visit(triangle)` as `for_each_overlap` does, but passes over triangles whose normals,
-  /// by `cones`, cannot enclose an angle with a direction of `own` with a cosine below `cosine_max`
-  /// ≤ 0. Of those that it visits, some do not either. Allocates: never.
+  /// by `cones`, are not among `opposing`. Of those that it visits, some are not either.
+  /// Allocates: never.
   template <typename Visit>
   void for_each_opposing(const Box& box, std::span<const DirectionCone> cones,
-                         const DirectionCone& own, double cosine_max, Visit&& visit) const;
+                         const OpposingDirections& opposing, Visit&& visit) const;
 
   /// Returns the surface's point nearest to `p` if one lies within `radius_m`. Of the triangles
   /// that share an edge or a vertex nearest to `p`, it is the one whose plane is farthest from it:
@@ -111,15 +133,30 @@ void TriangleTree::for_each_overlap(const Box& box, Visit&& visit) const {
       box, [](std::int32_t) { return true; }, visit);
 }
 
+template <typename Direction>
+DirectionCone DirectionCone::around(std::size_t count, Direction&& direction) {
+  DirectionCone out;
+  Vec3 sum = Vec3::Zero();
+  for (std::size_t i = 0; i < count; ++i) sum += direction(i);
+  const double norm = sum.norm();
+  if (norm < kNoMean) {
+    out.all = true;
+    return out;
+  }
+  out.axis = sum / norm;
+  for (std::size_t i = 0; i < count; ++i)
+    out.cosine = std::min(out.cosine, out.axis.dot(direction(i)));
+  out.sine = std::sqrt(std::max(0.0, 1.0 - out.cosine * out.cosine));
+  out.all = out.cosine <= 0.0;
+  return out;
+}
+
 template <typename Visit>
 void TriangleTree::for_each_opposing(const Box& box, std::span<const DirectionCone> cones,
-                                     const DirectionCone& own, double cosine_max,
-                                     Visit&& visit) const {
+                                     const OpposingDirections& opposing, Visit&& visit) const {
   for_each_overlap_where(
       box,
-      [&](std::int32_t node) {
-        return cones[static_cast<std::size_t>(node)].may_oppose(own, cosine_max);
-      },
+      [&](std::int32_t node) { return opposing.may_be_in(cones[static_cast<std::size_t>(node)]); },
       visit);
 }
 

@@ -126,10 +126,10 @@ TEST(TriangleTree, VisitsEveryTriangleThatFacesADirection) {
     const Box box(p - Vec3::Constant(0.3), p + Vec3::Constant(0.3));
     const Vec3 a = random_point(random).normalized();
     const Vec3 b = (a + 0.5 * random_point(random)).normalized();
-    const auto own = DirectionCone::merged(DirectionCone::of(a), DirectionCone::of(b));
+    const auto own = DirectionCone::around(2, [&](std::size_t i) { return i == 0 ? a : b; });
     for (const double cosine_max : {0.0, -0.3, -0.9}) {
       std::vector<std::int32_t> found;
-      tree.for_each_opposing(box, cones, own, cosine_max,
+      tree.for_each_opposing(box, cones, OpposingDirections(own, cosine_max),
                              [&](std::int32_t t) { found.push_back(t); });
       std::sort(found.begin(), found.end());
       const auto near = overlaps_by_all(soup, box);
