@@ -3,10 +3,13 @@
 #include <CLI/CLI.hpp>
 #include <exception>
 #include <iostream>
+#include <sstream>
+#include <string>
 
 #include "commands/check_command.hpp"
 #include "commands/run_command.hpp"
 #include "commands/serve_command.hpp"
+#include "commands/service_log.hpp"
 #include "fem/blas_kernels.hpp"
 
 int main(int argc, char** argv) {
@@ -25,10 +28,12 @@ int main(int argc, char** argv) {
   } catch (const CLI::Success& help) {
     return app.exit(help);
   } catch (const CLI::ParseError& error) {
-    app.exit(error);
+    std::ostringstream text;
+    app.exit(error, std::cout, text);
+    sutured::commands::tell_failure(text.str());
     return 2;
   } catch (const std::exception& error) {
-    std::cerr << "sutured: " << error.what() << '\n';
+    sutured::commands::tell_failure(std::string("sutured: ") + error.what());
     return 1;
   }
   return exit_code;

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "commands/mesh_report.hpp"
+#include "commands/scene_file.hpp"
 #include "fem/cholesky_factor.hpp"
 #include "geometry/mesh_reader.hpp"
 #include "scene/scene_reader.hpp"
@@ -185,7 +186,9 @@ void add_check_command(CLI::App& app, int& exit_code) {
   CLI::App* command = app.add_subcommand(
       "check",
       "Report on a scene or a mesh: size, quality, what holds it, or what is wrong with it");
-  command->add_option("FILE", options->path, "A scene (*.toml) or a mesh (*.msh, *.vtk)")
+  command
+      ->add_option("FILE", options->path,
+                   "A scene (*.toml, or the name of an installed one) or a mesh (*.msh, *.vtk)")
       ->required();
   command
       ->add_option("--scale", options->scale, "Metres per unit of a mesh file; a scene has its own")
@@ -197,7 +200,10 @@ void add_check_command(CLI::App& app, int& exit_code) {
       "  sutured check liver.msh                 # which unit is it in?\n"
       "  sutured check liver.msh --scale 0.1 --json\n"
       "Exit code: 0 good, 1 faults, each as file:line:column, 2 usage.");
-  command->callback([options, &exit_code] { exit_code = check(*options); });
+  command->callback([options, &exit_code] {
+    options->path = scene_file(options->path);
+    exit_code = check(*options);
+  });
 }
 
 }  // namespace sutured::commands

@@ -15,6 +15,7 @@
 #include "checkpoints/checkpoint_file.hpp"
 #include "commands/output_file.hpp"
 #include "commands/run_record.hpp"
+#include "commands/scene_file.hpp"
 #include "protocol/number_option.hpp"
 #include "protocol/surgeon.hpp"
 #include "scene/scene_reader.hpp"
@@ -185,7 +186,7 @@ void write_step(const scene::Scene& scene, const Simulation& sim,
 }
 
 int run(const RunOptions& options) {
-  const scene::Scene scene = scene::read_scene(options.scene);
+  const scene::Scene scene = scene::read_scene(scene_file(options.scene));
   for (const auto& note : scene.notes) std::cerr << "note: " << note << '\n';
   const suture::Surgeon surgeon =
       options.surgeon.empty() ? suture::Surgeon() : suture::read_surgeon(options.surgeon);
@@ -245,7 +246,9 @@ void add_run_command(CLI::App& app, int& exit_code) {
   auto options = std::make_shared<RunOptions>();
   CLI::App* command =
       app.add_subcommand("run", "Play a surgeon file through a scene, without clock or network");
-  command->add_option("scene", options->scene, "Scene file (TOML)")->required();
+  command
+      ->add_option("scene", options->scene, "Scene file (TOML), or the name of an installed scene")
+      ->required();
   command->add_option("--surgeon", options->surgeon,
                       "Surgeon file (CSV): time_s,tool,px_m,…,jaw; none: nobody touches the scene");
   command->add_option("--out", options->out, "Folder for the results")->required();
@@ -273,8 +276,8 @@ void add_run_command(CLI::App& app, int& exit_code) {
       "Writes steps.csv, timing.csv, tools.csv, threads.csv, events.jsonl, final.vtk and "
       "summary.json. Twice "
       "the same run\n"
-      "gives the same bytes but for timing.csv. Exit code: 0 done, 1 faulty input or output, 2 "
-      "wrong usage.");
+      "gives the same bytes but for timing.csv.\n"
+      "Exit codes: 0 done, 1 faulty input or output, 2 wrong usage.");
   command->callback([options, &exit_code] { exit_code = run(*options); });
 }
 

@@ -2,7 +2,6 @@
 #include "commands/serve_command.hpp"
 
 #include <signal.h>
-#include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
@@ -10,7 +9,6 @@
 #include <charconv>
 #include <cmath>
 #include <filesystem>
-#include <iostream>
 #include <limits>
 #include <map>
 #include <optional>
@@ -18,7 +16,11 @@
 #include <utility>
 #include <vector>
 
+#include "commands/config_file.hpp"
 #include "commands/run_record.hpp"
+#include "commands/scene_file.hpp"
+#include "commands/service_log.hpp"
+#include "commands/service_manager.hpp"
 #include "endpoints/server.hpp"
 #include "gateway/gateway.hpp"
 #include "gateway/site.hpp"
@@ -145,9 +147,20 @@ int exit_code_of(suture::ErrorCode code) {
   }
 }
 
+/// The file of the scene asked for; a session without one serves the scene of its own name.
+std::string scene_of(const Options& options) {
+  const std::string& scene = options.scene.empty() ? options.session : options.scene;
+  if (scene.empty())
+    throw suture::Error(suture::ErrorCode::kBadInput, "no scene is given",
+                        "name its file, as in `sutured serve scene.toml`");
+  return scene_file(scene);
+}
+
 int serve(const Options& options) {
   const EndSignals signals;
-  const auto log = spdlog::stderr_color_st("sutured");
+  ServiceManager manager;
+  const auto log = make_service_log();
+  const std::string file = scene_of(options);
   suture::ParticipantOptions session;
   session.domain = options.domain;
   session.session = options.session;
@@ -155,7 +168,7 @@ int serve(const Options& options) {
   std::optional<gateway::Gateway> web;
   if (options.http != "off") web.emplace(session, gateway_options(options, *log));
 
-  scene::Scene scene = scene::read_scene(options.scene);
+  scene::Scene scene = scene::read_scene(file);
   for (const std::string& note : scene.notes) log->info("{}", note);
   const std::string name = scene.name;
   const double rate_hz = options.rate_hz > 0.0 ? options.rate_hz : scene.rate_hz;
@@ -179,12 +192,14 @@ int serve(const Options& options) {
   if (!server.realtime().note.empty()) log->warn("{}", server.realtime().note);
   if (const std::string notes = server.notes(); !notes.empty()) log->warn("{}", notes);
   if (!server.resumed().empty()) log->info("resumed {} of the simulation", server.resumed());
-  log->info("serving scene \"{}\" at {} Hz in domain {}, {}; Ctrl-C ends", name, rate_hz,
-            options.domain, suture::session_text(options.session));
+  const std::string serving =
+      fmt::format("serving scene \"{}\" at {} Hz in domain {}, {}", name, rate_hz, options.domain,
+                  suture::session_text(options.session));
+  log->info("{}; Ctrl-C ends", serving);
 
   if (web) log->info("viewer at {}", web->url());
+  manager.ready(serving);
 
-  constexpr std::int64_t kLook_ns = 200'000'000;
   const std::int64_t end_ns =
       options.duration_s > 0.0
           ? suture::monotonic_ns() + static_cast<std::int64_t>(options.duration_s * 1e9)
@@ -192,10 +207,11 @@ int serve(const Options& options) {
   std::string reason;
   int code = 0;
   while (reason.empty()) {
+    manager.watch(server.pulse());
     const std::int64_t left_ns = end_ns - suture::monotonic_ns();
     if (left_ns <= 0) {
       reason = "its duration is over";
-    } else if (const int signal = signals.wait(std::min(kLook_ns, left_ns)); signal != 0) {
+    } else if (const int signal = signals.wait(std::min(manager.look_ns(), left_ns)); signal != 0) {
       reason = signal == SIGINT ? "interrupted" : "terminated";
     } else if (std::string failure = server.failure(); !failure.empty()) {
       log->error("the simulation ended: {}", failure);
@@ -203,6 +219,7 @@ int serve(const Options& options) {
       code = kSceneFailed;
     }
   }
+  manager.stopping(reason);
   const std::string summary = server.summary();
   server.stop(reason);
   web.reset();
@@ -218,11 +235,11 @@ int serve_and_tell(const Options& options) {
   try {
     return serve(options);
   } catch (const suture::Error& error) {
-    std::cerr << "sutured serve: " << error.what() << '\n';
+    tell_failure(std::string("sutured serve: ") + error.what());
     return exit_code_of(error.code());
   } catch (const std::exception& error) {
     // A scene's faults carry their own file:line:column.
-    std::cerr << error.what() << '\n';
+    tell_failure(error.what());
     return kSceneFailed;
   }
 }
@@ -232,7 +249,11 @@ int serve_and_tell(const Options& options) {
 void add_serve_command(CLI::App& app, int& exit_code) {
   CLI::App* command = app.add_subcommand("serve", "Simulate a scene and let devices feel it");
   auto options = std::make_shared<Options>();
-  command->add_option("scene", options->scene, "Scene file (TOML)")->required();
+  add_config_option(*command);
+  command->add_option(
+      "scene", options->scene,
+      "Scene file (TOML), or the name of an installed scene; by default the session's "
+      "name");
   command->add_option("--session", options->session,
                       "Session name: servers and devices of one name meet (a DDS partition)");
   command->add_option("--domain", options->domain,
@@ -294,7 +315,8 @@ void add_serve_command(CLI::App& app, int& exit_code) {
       "  sutured serve scene.toml --session class-a --domain 4 --duration 60\n"
       "  sutured serve scene.toml --http 8080\n"
       "  sutured serve scene.toml --checkpoints /var/lib/sutured/class-a\n"
-      "Exit codes: 0 ended as asked, 1 the scene or the simulation failed, 2 command line,\n"
+      "  sutured serve --config /etc/sutured/sutured.toml --session class-a\n"
+      "Exit codes: 0 ended as asked, 1 the scene or the simulation failed, 2 options,\n"
       "  3 another server has this session, 4 network or permission.");
   command->callback([options, &exit_code] { exit_code = serve_and_tell(*options); });
 }

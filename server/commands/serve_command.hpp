@@ -12,7 +12,7 @@ namespace sutured::commands {
 ///
 ///     0  ended as asked                       3  another server has this session
 ///     1  the scene or the simulation failed   4  the network or a permission is missing
-///     2  the command line is at fault
+///     2  an option is at fault
 void add_serve_command(CLI::App& app, int& exit_code);
 
 }  // namespace sutured::commands

@@ -165,6 +165,12 @@ void Server::stop(const std::string& reason) noexcept {
 
 std::string Server::failure() const { return state_->loop ? state_->loop->failure() : ""; }
 
+Server::Pulse Server::pulse() const {
+  const State& s = *state_;
+  if (!s.loop || !s.supervisor) return {};
+  return {s.loop->beats(), s.supervisor->ticks()};
+}
+
 const haptics::RealtimeReport& Server::realtime() const { return state_->realtime; }
 
 std::string Server::summary() const {

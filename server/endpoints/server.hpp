@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -51,6 +52,12 @@ class Server {
 
   /// Returns why the simulation ended by itself; empty while it runs.
   [[nodiscard]] std::string failure() const;
+  /// How far its loops have come since the start; a loop that hangs counts no more.
+  struct Pulse {
+    std::uint64_t beats = 0;  ///< of the simulation's loop, which has them while paused too
+    std::uint64_t ticks = 0;  ///< of the supervisor
+  };
+  [[nodiscard]] Pulse pulse() const;
   [[nodiscard]] const haptics::RealtimeReport& realtime() const;
   /// One line for people: steps, rate, overruns.
   [[nodiscard]] std::string summary() const;

@@ -159,6 +159,7 @@ void SimulationLoop::run() noexcept {
         step(now_ns, static_cast<double>(beats) * static_cast<double>(period_ns_) * 1e-9);
       }
       if (options_.keep) options_.keep(simulation_, quality(), suture::monotonic_ns());
+      beats_.fetch_add(1, std::memory_order_relaxed);
       const NextTick next = next_tick(due_ns, suture::monotonic_ns(), period_ns_);
       overruns_.fetch_add(next.missed, std::memory_order_relaxed);
       due_ns = next.at_ns;

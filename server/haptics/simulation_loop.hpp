@@ -142,6 +142,10 @@ class SimulationLoop {
   [[nodiscard]] std::uint64_t steps() const noexcept {
     return steps_.load(std::memory_order_relaxed);
   }
+  /// Returns how many beats of the clock were served: with a step, or standing still in a pause.
+  [[nodiscard]] std::uint64_t beats() const noexcept {
+    return beats_.load(std::memory_order_relaxed);
+  }
   [[nodiscard]] std::uint64_t overruns() const noexcept {
     return overruns_.load(std::memory_order_relaxed);
   }
@@ -191,7 +195,7 @@ class SimulationLoop {
 
   PeriodLatency step_times_;
   std::array<std::atomic<std::int64_t>, kStages> stage_ns_{};
-  std::atomic<std::uint64_t> epoch_{0}, steps_{0}, overruns_{0}, resets_asked_{0};
+  std::atomic<std::uint64_t> epoch_{0}, steps_{0}, beats_{0}, overruns_{0}, resets_asked_{0};
   std::atomic<bool> paused_{false}, stop_{false}, failed_{false}, replace_asked_{false};
   mutable std::mutex replace_mutex_;  // of the next two
   Replace replace_;

@@ -34,6 +34,7 @@ void Supervisor::run() noexcept {
     const std::int64_t woke_ns = suture::monotonic_ns();
     wakeup_.record(woke_ns - due_ns);
     tick_(woke_ns);
+    ticks_.fetch_add(1, std::memory_order_relaxed);
     const NextTick next = next_tick(due_ns, suture::monotonic_ns(), kPeriod_ns);
     missed_.fetch_add(next.missed, std::memory_order_relaxed);
     due_ns = next.at_ns;

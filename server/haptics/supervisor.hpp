@@ -48,6 +48,10 @@ class Supervisor {
   [[nodiscard]] std::uint64_t missed_ticks() const noexcept {
     return missed_.load(std::memory_order_relaxed);
   }
+  /// Returns how many ticks were done.
+  [[nodiscard]] std::uint64_t ticks() const noexcept {
+    return ticks_.load(std::memory_order_relaxed);
+  }
   /// True where the thread runs under SCHED_FIFO.
   [[nodiscard]] bool realtime() const noexcept { return realtime_.load(std::memory_order_relaxed); }
 
@@ -56,7 +60,7 @@ class Supervisor {
 
   std::function<void(std::int64_t)> tick_;
   PeriodLatency wakeup_;
-  std::atomic<std::uint64_t> missed_{0};
+  std::atomic<std::uint64_t> ticks_{0}, missed_{0};
   std::atomic<bool> realtime_{false}, stop_{false};
   std::thread thread_;
 };
