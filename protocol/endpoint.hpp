@@ -93,8 +93,10 @@ template <class T>
 class Reader : public Endpoint {
  public:
   Reader() = default;
-  explicit Reader(const Participant& participant, EndpointCallbacks callbacks = {}) {
-    open_reader(participant, topic<T>(), std::move(callbacks), topic<T>().depth);
+  /// Keeps the last `depth` samples of each instance until they are taken.
+  explicit Reader(const Participant& participant, EndpointCallbacks callbacks = {},
+                  int depth = topic<T>().depth) {
+    open_reader(participant, topic<T>(), std::move(callbacks), depth);
   }
 
   /// Copies the next sample into `sample`; false where none waits. Allocates nothing.

@@ -11,10 +11,6 @@
 namespace suture {
 namespace {
 
-// Cyclone's unicast and multicast ports are 7400 + 250 × domain + …, so that the last
-// domain whose ports fit into 16 bits is 232; N + 1 must fit too.
-constexpr std::uint32_t kMaxDomain = 230;
-
 // A separate participant's domain is another one within the process, and the same on the
 // network.
 constexpr std::uint32_t kSeparate = 1000;
@@ -181,10 +177,12 @@ Participant::Participant(const ParticipantOptions& options, Channel channel)
     throw_dds_error(state.participant, "joining DDS domain " + std::to_string(network_domain));
   }
   const QosPtr group(dds_create_qos(), &dds_delete_qos);
-  const char* partition = state.options.session.c_str();
+  const char* partition = options.every_session ? "*" : state.options.session.c_str();
   dds_qset_partition(group.get(), 1, &partition);
-  state.publisher = dds_create_publisher(state.participant, group.get(), nullptr);
-  if (state.publisher < 0) throw_dds_error(state.publisher, "making a DDS publisher");
+  if (!options.every_session) {
+    state.publisher = dds_create_publisher(state.participant, group.get(), nullptr);
+    if (state.publisher < 0) throw_dds_error(state.publisher, "making a DDS publisher");
+  }
   state.subscriber = dds_create_subscriber(state.participant, group.get(), nullptr);
   if (state.subscriber < 0) throw_dds_error(state.subscriber, "making a DDS subscriber");
 }

@@ -15,9 +15,13 @@
 
 namespace suture {
 
+/// The last domain of forces. Cyclone's ports are 7400 + 250 × domain + …, so that those of 232 are
+/// the last that fit into 16 bits; N + 1 must fit too.
+inline constexpr std::uint32_t kMaxDomain = 230;
+
 /// Says which session to take part in, and how.
 struct ParticipantOptions {
-  std::uint32_t domain = 0;  ///< even, ≤ 228; meshes use domain + 1
+  std::uint32_t domain = 0;  ///< even, ≤ kMaxDomain; meshes use domain + 1
   std::string session;       ///< DDS partition; empty is the default session
   /// Properties of the participant's QoS, such as those of DDS Security
   /// (`dds.sec.auth.identity_ca`, …): security is configuration, not code.
@@ -27,6 +31,9 @@ struct ParticipantOptions {
   /// writing thread. For those who serve strangers inside a process that renders forces.
   /// Settings of `CYCLONEDDS_URI` must then stand under `<Domain Id="any">`.
   bool separate = false;
+  /// Hear every session of the domain instead of one, and say nothing: `session` must be empty,
+  /// and writers cannot be made.
+  bool every_session = false;
 };
 
 /// Says whether the present process may run SCHED_FIFO threads of `priority`: it
@@ -54,7 +61,7 @@ class Participant {
   Participant& operator=(Participant&&) noexcept;
 
   [[nodiscard]] dds_entity_t handle() const noexcept;
-  [[nodiscard]] dds_entity_t publisher() const noexcept;   ///< in the session's partition
+  [[nodiscard]] dds_entity_t publisher() const noexcept;   ///< in the session's partition; 0: none
   [[nodiscard]] dds_entity_t subscriber() const noexcept;  ///< in the session's partition
   [[nodiscard]] Channel channel() const noexcept;
   [[nodiscard]] const ParticipantOptions& options() const noexcept;

@@ -141,6 +141,49 @@ ServerInfo await_server(const Participant& participant, std::chrono::nanoseconds
                   "`, or check domain, session, network interface and firewall");
 }
 
+void listen_to_servers(
+    std::span<const Participant> participants, std::chrono::nanoseconds timeout,
+    const std::function<void(std::uint32_t domain, const v1::ServerStatus&)>& use) {
+  // Servers answer a new participant within tens of milliseconds on a quiet network.
+  constexpr std::chrono::milliseconds kQuiet(600);
+  // All servers of a domain write one instance, so that a reader of the topic's own depth would
+  // keep the last word of one of them.
+  constexpr int kServersMax = 1000;
+  struct Ear {
+    std::uint32_t domain;
+    Reader<v1::ServerStatus> reader;
+    std::set<std::uint64_t> heard;
+    std::size_t known = 0;
+  };
+  std::vector<Ear> ears;
+  for (const Participant& participant : participants)
+    ears.push_back({participant.options().domain,
+                    Reader<v1::ServerStatus>(participant, {}, kServersMax),
+                    {},
+                    0});
+  WaitSet waitset;
+  for (const Ear& ear : ears) waitset.attach(ear.reader);
+  const Clock::time_point end = Clock::now() + timeout;
+  Clock::time_point quiet_end = Clock::now() + kQuiet;
+  bool all_spoke = true;  // nobody is known
+  while (Clock::now() < end && !(all_spoke && Clock::now() >= quiet_end)) {
+    const Clock::time_point until = all_spoke ? std::min(end, quiet_end) : end;
+    waitset.wait(std::max<std::chrono::nanoseconds>(until - Clock::now(), {}));
+    all_spoke = true;
+    for (Ear& ear : ears) {
+      ear.reader.take_each([&](const v1::ServerStatus& status, const SampleInfo& info) {
+        if (info.writer != 0) ear.heard.insert(info.writer);
+        if (info.valid && info.writers_alive && status.state != suture_v1_SERVER_LEAVING)
+          use(ear.domain, status);
+      });
+      const auto known = static_cast<std::size_t>(ear.reader.matched());
+      if (known > ear.known) quiet_end = Clock::now() + kQuiet;
+      ear.known = known;
+      all_spoke = all_spoke && ear.heard.size() >= known;
+    }
+  }
+}
+
 std::optional<ServerInfo> find_other_server(const Participant& participant,
                                             std::chrono::nanoseconds timeout) {
   return listen(participant, timeout, {});

@@ -5,6 +5,7 @@
 #include <chrono>
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -55,6 +56,14 @@ struct ServerInfo {
 [[nodiscard]] ServerInfo await_server(const Participant& participant,
                                       std::chrono::nanoseconds timeout,
                                       const std::function<bool(const ServerInfo&)>& enough = {});
+
+/// Calls `use` with what each server says that `participants` hear, until every one that is known
+/// has spoken and none became known for 600 ms, or `timeout` is over. Of a server that says more
+/// meanwhile it is called again; of one that is leaving, not.
+/// `participants` are of the control channel and of every session, each of another domain.
+void listen_to_servers(
+    std::span<const Participant> participants, std::chrono::nanoseconds timeout,
+    const std::function<void(std::uint32_t domain, const v1::ServerStatus&)>& use);
 
 /// Looks for another server in the participant's session, before one starts there.
 /// Returns it, or nothing after `timeout`. A server that is leaving does not count.

@@ -50,6 +50,13 @@ struct TopArguments {
   bool once = false;
 };
 
+struct SessionsArguments {
+  std::vector<std::uint32_t> domains{0};
+  bool all_domains = false;
+  double timeout_s = 3.0;
+  bool json = false;
+};
+
 struct DoctorArguments {
   std::uint32_t domain = 0;
   double seconds = 2.0;
@@ -99,6 +106,7 @@ struct CommandArguments {
 
 int run_device(const DeviceArguments& arguments);
 int run_top(const TopArguments& arguments);
+int run_sessions(const SessionsArguments& arguments);
 int run_doctor(const DoctorArguments& arguments);
 int run_record(const RecordArguments& arguments);
 int run_replay(const ReplayArguments& arguments);

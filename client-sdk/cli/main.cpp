@@ -140,6 +140,27 @@ int run(int argc, char** argv) {
       "  suture top --session room-2 --once\n"
       "On a terminal the table renews itself; elsewhere it is a line a status.");
 
+  SessionsArguments sessions;
+  CLI::App* sessions_command =
+      app.add_subcommand("sessions", "List the sessions that have a server: scene, rates, clients");
+  CLI::Option* domain_option =
+      sessions_command
+          ->add_option("--domain", sessions.domains, "DDS domain to look in, even; repeatable")
+          ->allow_extra_args(false)
+          ->capture_default_str();
+  sessions_command->add_flag("--all-domains", sessions.all_domains, "look in every domain")
+      ->excludes(domain_option);
+  sessions_command->add_option("--timeout", sessions.timeout_s, "seconds to wait at most")
+      ->check(suture::within(0.001, 3600.0, "s"))
+      ->capture_default_str();
+  sessions_command->add_flag("--json", sessions.json, "write the list as JSON");
+  sessions_command->footer(
+      "Examples:\n"
+      "  suture sessions\n"
+      "  suture sessions --domain 0 --domain 4 --json\n"
+      "Waits until every server that is known has spoken and no other came for 0.6 s. Ends with 3\n"
+      "where there is none.");
+
   DoctorArguments doctor;
   CLI::App* doctor_command =
       app.add_subcommand("doctor", "Grade this machine and its network for 1 kHz haptics");
@@ -275,6 +296,7 @@ int run(int argc, char** argv) {
   try {
     if (*device_command) return run_device(device);
     if (*top_command) return run_top(top);
+    if (*sessions_command) return run_sessions(sessions);
     if (*doctor_command) return run_doctor(doctor);
     if (*record_command) return run_record(record);
     if (*replay_command) return run_replay(replay);

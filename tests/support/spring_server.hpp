@@ -54,6 +54,7 @@ class SpringServer {
     status.protocol_version = options_.protocol_version;
     status.state = suture_v1_SERVER_RUNNING;
     suture::set_text(status.server_version, "0.1.0");
+    suture::set_text(status.session, options_.session.session);
     suture::set_text(status.host, "here");
     suture::set_text(status.scene, "spring");
     suture::lend(status.tools, std::span<const suture::v1::ToolStatus>(tools));

@@ -95,6 +95,78 @@ class Cli : public ::testing::Test {
   std::filesystem::path folder_;
 };
 
+/// `suture sessions` of our domain, as JSON; other processes may have sessions there too.
+std::map<std::string, nlohmann::json> list_sessions(const std::string& domain) {
+  Process list({SUTURE_CLI, "sessions", "--json", "--timeout", "20", "--domain", domain});
+  list.wait();
+  std::map<std::string, nlohmann::json> rows;
+  for (const auto& row :
+       nlohmann::json::parse(list.output().substr(0, list.output().rfind(']') + 1)))
+    rows[row["session"]] = row;
+  return rows;
+}
+
+TEST_F(Cli, SessionsListsEveryServerOfADomainAndNoneThatHasLeft) {
+  const std::string domain = std::to_string(own_session().domain);
+  const std::string name = own_session().session;
+  SpringServer::Options options = server_options();
+  SpringServer one(options);
+  options.session.session.clear();
+  options.tools = {"driver", "assistant"};
+  SpringServer unnamed(options);
+  options.session.session = name + "-b";
+  std::optional<SpringServer> other(options);
+
+  std::map<std::string, nlohmann::json> rows = list_sessions(domain);
+  ASSERT_TRUE(rows.contains(name) && rows.contains("") && rows.contains(name + "-b"));
+  EXPECT_EQ(rows[name]["scene"], "spring");
+  EXPECT_EQ(rows[name]["state"], "running");
+  EXPECT_EQ(rows[name]["domain"], own_session().domain);
+  EXPECT_EQ(rows[name]["tools"], 1);
+  EXPECT_EQ(rows[""]["tools"], 2);
+
+  Process table({SUTURE_CLI, "sessions", "--domain", domain});
+  EXPECT_EQ(table.wait(), 0);
+  EXPECT_THAT(table.output(), HasSubstr("\n(default) "));
+  EXPECT_THAT(table.output(), HasSubstr("\n" + name + "-b "));
+
+  other.reset();
+  rows = list_sessions(domain);
+  EXPECT_TRUE(rows.contains(name));
+  EXPECT_FALSE(rows.contains(name + "-b"));
+}
+
+TEST_F(Cli, SessionsSaysWhereItFoundNone) {
+  // Tests take domains below 200.
+  Process list({SUTURE_CLI, "sessions", "--json", "--domain", "228", "--domain", "230"});
+  EXPECT_EQ(list.wait(), 3);
+  EXPECT_THAT(list.output(), HasSubstr("[]"));
+  EXPECT_THAT(list.output(), HasSubstr("no server answers in domains 228, 230"));
+  EXPECT_THAT(list.output(), HasSubstr("--all-domains"));
+  Process odd({SUTURE_CLI, "sessions", "--domain", "1"});
+  EXPECT_EQ(odd.wait(), 2);
+  Process both({SUTURE_CLI, "sessions", "--domain", "0", "--all-domains"});
+  EXPECT_EQ(both.wait(), 2);
+}
+
+TEST_F(Cli, SessionsWaitsForTheWordOfAServerThatIsKnown) {
+  const Participant participant(own_session(), Channel::kControl);
+  Writer<v1::ServerStatus> server(participant);
+  Process list({SUTURE_CLI, "sessions", "--timeout", "20", "--domain",
+                std::to_string(own_session().domain)});
+  ASSERT_TRUE(eventually([&] { return server.matched() > 0; }));
+  // Later than it would wait for strangers.
+  std::this_thread::sleep_for(std::chrono::milliseconds(1500));
+  v1::ServerStatus status{};
+  set_text(status.session, own_session().session);
+  set_text(status.scene, "late");
+  status.state = suture_v1_SERVER_PAUSED;
+  server.write(status);
+  EXPECT_EQ(list.wait(), 0);
+  EXPECT_THAT(list.output(), HasSubstr("  late  "));
+  EXPECT_THAT(list.output(), HasSubstr("  paused  "));
+}
+
 TEST_F(Cli, DevicePlaysASurgeonFileAndLeavesLogPlotAndSummary) {
   SpringServer server(server_options());
   Process device(

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// A device without the SDK's care: it sends whatever a test wants, at 1 kHz.
+// A device without the SDK's care: it sends whatever a test wants, at 1 kHz or slower.
 #pragma once
 
 #include <atomic>
@@ -16,8 +16,11 @@ namespace sutured::testing {
 
 class RawDevice {
  public:
-  RawDevice(const suture::ParticipantOptions& session, const std::string& tool)
-      : participant_(session, suture::Channel::kControl), writer_(participant_) {
+  RawDevice(const suture::ParticipantOptions& session, const std::string& tool,
+            std::int64_t period_ns = 1'000'000)
+      : participant_(session, suture::Channel::kControl),
+        writer_(participant_),
+        period_ns_(period_ns) {
     pose_.tool_id = suture::tool_id(tool);
     pose_.orientation_xyzw[3] = 1.0;
     thread_ = std::thread([this] { run(); });
@@ -48,8 +51,7 @@ class RawDevice {
  private:
   void run() {
     haptics::enter_realtime(60);
-    constexpr std::int64_t kPeriod_ns = 1'000'000;
-    std::int64_t due_ns = suture::monotonic_ns() + kPeriod_ns;
+    std::int64_t due_ns = suture::monotonic_ns() + period_ns_;
     while (!stop_) {
       haptics::sleep_until(due_ns);
       if (!paused_) {
@@ -60,12 +62,13 @@ class RawDevice {
         if (spoil_) spoil_(sent);
         writer_.write(sent);
       }
-      due_ns = haptics::next_tick(due_ns, suture::monotonic_ns(), kPeriod_ns).at_ns;
+      due_ns = haptics::next_tick(due_ns, suture::monotonic_ns(), period_ns_).at_ns;
     }
   }
 
   suture::Participant participant_;
   suture::Writer<suture::v1::ToolPose> writer_;
+  std::int64_t period_ns_;
   std::mutex mutex_;
   suture::v1::ToolPose pose_{};
   std::function<void(suture::v1::ToolPose&)> spoil_;
