@@ -13,6 +13,8 @@ TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev libpng-dev calculix-
 BROWSER_PACKAGES := chromium
 BENCH_PACKAGES := rt-tests
 MESH_PACKAGES := gmsh
+DEB_PACKAGES := debhelper help2man lintian
+CLEAN_ROOT_PACKAGES := mmdebstrap systemd-container curl
 CHECK_PACKAGES := clang clang-format clang-tidy libclang-rt-14-dev
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 
@@ -91,6 +93,21 @@ serve: build viewer ## Serve the anastomosis scene, with the page at HTTP, until
 .PHONY: install
 install: build ## Install commands, SDK and licences below PREFIX
 	@cmake --install build/release --prefix $(PREFIX) >/dev/null && echo "installed below $(PREFIX)"
+
+# debhelper's own commands, without dpkg-buildpackage, which would leave its files beside this folder.
+.PHONY: deb
+deb: deps-build viewer ## Build the Debian packages: build/packages
+	$(call install-packages,$(DEB_PACKAGES))
+	@export DEB_RULES_REQUIRES_ROOT=no CCACHE_DIR="$$(ccache --get-config cache_dir)"; \
+	  debian/rules clean >/dev/null && rm -rf build/packages && mkdir -p build/packages && debian/rules binary >build/packages.log 2>&1 || \
+	  { tail -n 30 build/packages.log; echo "all of it: build/packages.log"; exit 1; }
+	@lintian --fail-on error build/packages/*.deb
+	@ls build/packages
+
+.PHONY: test-packages
+test-packages: deb ## Install the packages into a clean Debian, run the main job there, build an outside project
+	$(call install-packages,$(CLEAN_ROOT_PACKAGES))
+	@tests/packages/run.sh build/packages
 
 .PHONY: test
 test: deps-test deps-node ## Build and run every test

@@ -46,13 +46,21 @@ const char* state_text(suture_v1_ServerState state) {
   return "unknown";
 }
 
+/// What strangers call themselves, without what a terminal would obey.
+std::string printable(std::string_view text) {
+  std::string result(text);
+  for (char& c : result)
+    if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) c = '?';
+  return result;
+}
+
 Row row_of(std::uint32_t domain, const v1::ServerStatus& status) {
   Row row;
   row.domain = domain;
-  row.session = text_of(status.session);
-  row.scene = text_of(status.scene);
-  row.host = text_of(status.host);
-  row.version = text_of(status.server_version);
+  row.session = printable(text_of(status.session));
+  row.scene = printable(text_of(status.scene));
+  row.host = printable(text_of(status.host));
+  row.version = printable(text_of(status.server_version));
   row.state = state_text(status.state);
   row.pid = status.pid;
   row.uptime_s = 1e-9 * static_cast<double>(status.stamp_ns - status.started_ns);
@@ -180,7 +188,7 @@ int run_sessions(const SessionsArguments& arguments) {
   if (arguments.json) {
     Json list = Json::array();
     for (const Row& row : rows) list.push_back(json_of(row));
-    std::printf("%s\n", list.dump(2).c_str());
+    std::printf("%s\n", list.dump(2, ' ', false, Json::error_handler_t::replace).c_str());
   } else if (!rows.empty()) {
     print_table(rows);
   }

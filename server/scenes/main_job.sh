@@ -7,12 +7,16 @@
 # The page is at HTTP, by default at any free port of this machine.
 #
 #   BIN=build/release SCENE=…/scene.toml SURGEON=…/surgeon.csv OUT=out/run server/scenes/main_job.sh
+#
+# Without BIN the installed programs do it.
 set -euo pipefail
-: "${BIN:?folder of the binaries}" "${SCENE:?}" "${SURGEON:?}" "${OUT:?}"
+: "${SCENE:?}" "${SURGEON:?}" "${OUT:?}"
+sutured=${BIN:+$BIN/server/}sutured
+suture=${BIN:+$BIN/client-sdk/cli/}suture
 domain=${DOMAIN:-0}
 mkdir -p "$OUT"
 
-"$BIN/server/sutured" serve "$SCENE" --domain "$domain" --http "${HTTP:-127.0.0.1:0}" --out "$OUT/scene" >"$OUT/server.log" 2>&1 &
+"$sutured" serve "$SCENE" --domain "$domain" --http "${HTTP:-127.0.0.1:0}" --out "$OUT/scene" >"$OUT/server.log" 2>&1 &
 server=$!
 trap 'kill -INT $server 2>/dev/null || true; wait $server 2>/dev/null || true' EXIT
 
@@ -24,7 +28,7 @@ echo "$address"
 echo "viewers and recorders join on DDS domain $((domain + 1)); rates and latencies: suture top --domain $domain"
 # It waits for the server by itself, and says why if none comes. Before the last hand lets go the scene is paused: there is
 # no knot yet, and the suture would open.
-"$BIN/client-sdk/cli/suture" device --surgeon "$SURGEON" --domain "$domain" --timeout 20 --pause-at-end \
+"$suture" device --surgeon "$SURGEON" --domain "$domain" --timeout 20 --pause-at-end \
   --log "$OUT/forces.csv" --plot "$OUT/force.svg" --summary "$OUT/summary.json" || {
   echo "--- server log:"; cat "$OUT/server.log"; exit 1; }
 

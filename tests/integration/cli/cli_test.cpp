@@ -159,11 +159,11 @@ TEST_F(Cli, SessionsWaitsForTheWordOfAServerThatIsKnown) {
   std::this_thread::sleep_for(std::chrono::milliseconds(1500));
   v1::ServerStatus status{};
   set_text(status.session, own_session().session);
-  set_text(status.scene, "late");
+  set_text(status.scene, "late\x1b[2J");
   status.state = suture_v1_SERVER_PAUSED;
   server.write(status);
   EXPECT_EQ(list.wait(), 0);
-  EXPECT_THAT(list.output(), HasSubstr("  late  "));
+  EXPECT_THAT(list.output(), HasSubstr("  late?[2J  "));  // no stranger commands the terminal
   EXPECT_THAT(list.output(), HasSubstr("  paused  "));
 }
 
