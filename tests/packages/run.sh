@@ -18,8 +18,9 @@ fail() { echo "FAILED: $1"; exit 1; }
 curl -sfIm 20 "$mirror/dists/bookworm/Release" >/dev/null || skip "$mirror does not answer"
 
 root=$(mktemp -d)
-leader=
+leader= server=
 finish() {
+  [ -z "$server" ] || kill "$server" 2>/dev/null || true
   [ -z "$leader" ] || kill -KILL "$leader" 2>/dev/null || true
   umount "$root/proc" 2>/dev/null || true
   rm -rf --one-file-system "$root"
@@ -33,7 +34,8 @@ mkdir "$root/packages" "$root/job"
 cp "$packages"/*.deb "$root/packages/"
 cp "$source/server/scenes/main_job.sh" "$root/job/"
 cp -r "$source/tests/integration/find_package/outside" "$root/job/outside"
-inside() { chroot "$root" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive "$@"; }
+in_root=(chroot "$root" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive)
+inside() { "${in_root[@]}" "$@"; }
 install() { inside apt-get install -y -qq --no-install-recommends "$@" >"$root/job/apt.log" 2>&1 || { tail -n 20 "$root/job/apt.log"; fail "apt-get install $*"; }; }
 
 echo "== server, tools, page and documentation"
@@ -60,7 +62,7 @@ for name, wound in scene["wound"].items():
 PY
 
 echo "== the service's command line, and the page"
-inside sutured serve --config /etc/sutured/sutured.toml --session anastomosis --checkpoints /job/checkpoints \
+"${in_root[@]}" sutured serve --config /etc/sutured/sutured.toml --session anastomosis --checkpoints /job/checkpoints \
   --domain $domain --http 127.0.0.1:0 >"$root/job/service.log" 2>&1 &
 server=$!
 until grep -q 'viewer at' "$root/job/service.log"; do
@@ -69,8 +71,9 @@ until grep -q 'viewer at' "$root/job/service.log"; do
 done
 page=$(curl -sf "$(grep -o 'http://[^ ]*' "$root/job/service.log")")
 inside suture sessions --domain $domain | tee "$root/job/sessions"
-kill -INT $server
+kill -TERM $server
 wait $server || { cat "$root/job/service.log"; fail "the end of the server"; }
+server=
 grep -q '<script' <<<"$page" || fail "the page that the server shows is not the viewer"
 grep -q '^anastomosis ' "$root/job/sessions" || fail "the session is not listed"
 
@@ -113,11 +116,9 @@ if [ -n "$leader" ] && booted systemctl is-active --quiet multi-user.target; the
   booted suture sessions --domain $domain | tee "$root/job/sessions"
   grep -q '^anastomosis .* running ' "$root/job/sessions" || fail "a service that is ready is not listed"
   property StatusText | grep -q 'serving scene' || fail "no status"
-  booted journalctl -o json -u $unit | grep -q '"PRIORITY":"6".*"MESSAGE":"serving scene\|"MESSAGE":"serving scene.*"PRIORITY":"6"' || fail "no levels in the journal"
   booted suture top --once --session anastomosis --domain $domain | grep 'real time\|CAP_'
   # The sandbox: nobody's user, and nothing to write but its own state.
-  server=$(property MainPID)
-  [ "$(booted stat -c %U "/proc/$server")" != root ] || fail "the service runs as root"
+  [ "$(booted stat -c %U "/proc/$(property MainPID)")" != root ] || fail "the service runs as root"
   await booted sh -c 'ls /var/lib/sutured/anastomosis/* >/dev/null 2>&1'
   # A crash, and a process that hangs: both come back, and the simulation goes on.
   booted systemctl kill --kill-who=main --signal=KILL $unit
