@@ -17,7 +17,11 @@ int main(int argc, char** argv) {
   CLI::App app("sutured: a haptic server for suturing simulation", "sutured");
   app.set_version_flag("--version", SUTURED_VERSION);
   app.require_subcommand(1);
-  app.footer("Help on one command: sutured COMMAND --help");
+  app.footer(
+      "Help on one command: sutured COMMAND --help\n"
+      "Exit codes: 0 done, 1 a scene, a run or a simulation is at fault, 2 wrong usage; of serve "
+      "also\n"
+      "  3 another server has this session, 4 network or permission.");
 
   int exit_code = 0;
   sutured::commands::add_serve_command(app, exit_code);

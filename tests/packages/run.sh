@@ -86,7 +86,7 @@ complete_words() {
 [ "$(partial=--dom complete_words suture sessions)" = --domain ] || fail "completion of an option"
 [ "$(partial=rew complete_words suture command)" = rewind ] || fail "completion of a value"
 for shell_file in _sutured _suture; do inside zsh -n "/usr/share/zsh/vendor-completions/$shell_file" || fail "zsh"; done
-for page in $(inside sh -c "sutured --help; suture --help" | awk '/^Usage: / { p = $2; print p } /^  [a-z]/ { print p "-" $1 }'); do
+for page in $(inside sh -c "sutured --help; suture --help" | awk '/^Usage: / { p = $2; print p } /^Subcommands:/ { on = 1 } /^$/ { on = 0 } on && /^  [a-z]/ { print p "-" $1 }'); do
   [ -s "$root/usr/share/man/man1/$page.1.gz" ] || fail "no manual of $page"
   zcat "$root/usr/share/man/man1/$page.1.gz" | grep -q 'EXIT STATUS' || fail "the manual of $page tells no exit codes"
 done
