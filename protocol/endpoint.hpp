@@ -146,6 +146,24 @@ class Reader : public Endpoint {
     return guid;
   }
 
+  /// Returns the partitions of the writer of a sample. Allocates.
+  [[nodiscard]] std::vector<std::string> writer_partitions(std::uint64_t writer) const {
+    std::vector<std::string> names;
+    dds_builtintopic_endpoint_t* data = dds_get_matched_publication_data(handle(), writer);
+    if (data == nullptr) return names;
+    std::uint32_t count = 0;
+    char** partitions = nullptr;
+    if (dds_qget_partition(data->qos, &count, &partitions)) {
+      for (std::uint32_t i = 0; i < count; ++i) {
+        names.emplace_back(partitions[i]);
+        dds_free(partitions[i]);
+      }
+      dds_free(partitions);
+    }
+    dds_builtintopic_free_endpoint(data);
+    return names;
+  }
+
   /// Returns the GUIDs of all writers that this reader hears. Allocates.
   [[nodiscard]] std::vector<Guid> matched_writers() const {
     dds_instance_handle_t handles[64];

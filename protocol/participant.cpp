@@ -102,6 +102,17 @@ using QosPtr = std::unique_ptr<dds_qos_t, decltype(&dds_delete_qos)>;
 
 void* do_nothing(void*) { return nullptr; }
 
+[[noreturn]] void refuse_tool(const Identity& identity, const std::string& tool) {
+  std::string own;
+  for (const std::string& name : identity.tools) own += (own.empty() ? "" : ", ") + name;
+  throw Error(ErrorCode::kPermissionDenied,
+              "the keys of \"" + identity.name + "\" give no right to the tool \"" + tool + "\"" +
+                  (own.empty() ? " nor to any other" : " (but to: " + own + ")"),
+              "take its own tool, or have the site make keys with `suture keys add SITE NAME "
+              "--role device --tool " +
+                  tool + "`");
+}
+
 }  // namespace
 
 bool may_run_realtime(int priority) noexcept {
@@ -124,7 +135,8 @@ void throw_dds_error(dds_return_t code, const std::string& what) {
   switch (code) {
     case DDS_RETCODE_NOT_ALLOWED_BY_SECURITY:
       throw Error(ErrorCode::kPermissionDenied, cause,
-                  "check the identity, permissions and governance files of DDS Security");
+                  "these keys give no right to that: see `suture keys list` at the site, and the "
+                  "roles in docs/guide/security.md");
     case DDS_RETCODE_OUT_OF_RESOURCES:
       throw Error(ErrorCode::kNetwork, cause, "too many participants or no memory left");
     default:
@@ -135,6 +147,7 @@ void throw_dds_error(dds_return_t code, const std::string& what) {
 
 struct Participant::State {
   ParticipantOptions options;
+  std::optional<Identity> identity;
   Channel channel = Channel::kControl;
   std::uint32_t domain = 0;
   bool opened = false;
@@ -156,33 +169,43 @@ Participant::Participant(const ParticipantOptions& options, Channel channel)
                 "take an even number from 0 to " + std::to_string(kMaxDomain) +
                     " (meshes travel in the next, odd one)");
   }
-  if (options.session.size() > 64 || options.session.find_first_of("*?[],") != std::string::npos) {
+  if (options.session.size() > 64 || options.session.find_first_of("*?[],") != std::string::npos ||
+      options.session.starts_with(kToolMark)) {
     throw Error(ErrorCode::kBadInput, "session name \"" + options.session + "\" is not usable",
-                "take up to 64 characters without * ? [ ] or a comma");
+                "take up to 64 characters without * ? [ ] or a comma, not beginning with @");
   }
   State& state = *state_;
   state.options = options;
   state.channel = channel;
   const std::uint32_t network_domain = options.domain + (channel == Channel::kMesh ? 1U : 0U);
+  if (const std::string folder = security_folder(options.security); !folder.empty()) {
+    state.identity = read_identity(folder);
+    if (!options.tool.empty() && !state.identity->may_drive(options.tool))
+      refuse_tool(*state.identity, options.tool);
+  }
   state.domain = network_domain + (options.separate ? kSeparate : 0U);
   state.realtime = open_domain(state.domain, network_domain, channel);
   state.opened = true;
 
   const QosPtr qos(dds_create_qos(), &dds_delete_qos);
-  for (const auto& [name, value] : options.properties) {
-    dds_qset_prop(qos.get(), name.c_str(), value.c_str());
+  if (state.identity) {
+    for (const auto& [name, value] : state.identity->properties)
+      dds_qset_prop(qos.get(), name.c_str(), value.c_str());
   }
   state.participant = dds_create_participant(state.domain, qos.get(), nullptr);
   if (state.participant < 0) {
     throw_dds_error(state.participant, "joining DDS domain " + std::to_string(network_domain));
   }
   const QosPtr group(dds_create_qos(), &dds_delete_qos);
-  const char* partition = options.every_session ? "*" : state.options.session.c_str();
-  dds_qset_partition(group.get(), 1, &partition);
+  const std::string claim = tool_partition(options.tool);
+  const char* partitions[] = {options.every_session ? "*" : state.options.session.c_str(),
+                              claim.c_str()};
   if (!options.every_session) {
+    dds_qset_partition(group.get(), state.identity && !options.tool.empty() ? 2 : 1, partitions);
     state.publisher = dds_create_publisher(state.participant, group.get(), nullptr);
     if (state.publisher < 0) throw_dds_error(state.publisher, "making a DDS publisher");
   }
+  dds_qset_partition(group.get(), 1, partitions);
   state.subscriber = dds_create_subscriber(state.participant, group.get(), nullptr);
   if (state.subscriber < 0) throw_dds_error(state.subscriber, "making a DDS subscriber");
 }
@@ -195,6 +218,7 @@ dds_entity_t Participant::handle() const noexcept { return state_->participant; 
 dds_entity_t Participant::publisher() const noexcept { return state_->publisher; }
 dds_entity_t Participant::subscriber() const noexcept { return state_->subscriber; }
 Channel Participant::channel() const noexcept { return state_->channel; }
+const std::optional<Identity>& Participant::identity() const noexcept { return state_->identity; }
 const ParticipantOptions& Participant::options() const noexcept { return state_->options; }
 bool Participant::receives_in_realtime() const noexcept { return state_->realtime; }
 

@@ -6,10 +6,11 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
+#include "protocol/security.hpp"
 #include "protocol/topics.hpp"
 #include "suture/error.hpp"
 
@@ -23,9 +24,8 @@ inline constexpr std::uint32_t kMaxDomain = 230;
 struct ParticipantOptions {
   std::uint32_t domain = 0;  ///< even, ≤ kMaxDomain; meshes use domain + 1
   std::string session;       ///< DDS partition; empty is the default session
-  /// Properties of the participant's QoS, such as those of DDS Security
-  /// (`dds.sec.auth.identity_ca`, …): security is configuration, not code.
-  std::vector<std::pair<std::string, std::string>> properties;
+  std::string security;      ///< folder of keys; empty: as `security_folder` says
+  std::string tool;          ///< that its writers claim, "*": any; empty: none
   /// Take part as if from another process, with receive threads of one's own: what is
   /// written reaches the other participants of this process by the network, never on the
   /// writing thread. For those who serve strangers inside a process that renders forces.
@@ -54,7 +54,8 @@ inline constexpr int kReceivePriority = 70;
 /// Threads: any, also at once.
 class Participant {
  public:
-  /// Throws Error kBadInput (domain odd or too large), kNetwork, kPermissionDenied.
+  /// Throws Error kBadInput (domain odd or too large), kNetwork, kPermissionDenied (keys that
+  /// do not hold, or do not give the tool).
   Participant(const ParticipantOptions& options, Channel channel);
   ~Participant();
   Participant(Participant&&) noexcept;
@@ -65,6 +66,8 @@ class Participant {
   [[nodiscard]] dds_entity_t subscriber() const noexcept;  ///< in the session's partition
   [[nodiscard]] Channel channel() const noexcept;
   [[nodiscard]] const ParticipantOptions& options() const noexcept;
+  /// Returns who takes part; none: unsecured.
+  [[nodiscard]] const std::optional<Identity>& identity() const noexcept;
   /// Says whether the receive thread of this domain runs in real time.
   [[nodiscard]] bool receives_in_realtime() const noexcept;
 

@@ -27,6 +27,7 @@ int run_command(const CommandArguments& arguments) {
   SessionOptions options;
   options.domain = arguments.session.domain;
   options.session = arguments.session.session;
+  options.security = arguments.session.security;
   options.timeout =
       std::chrono::milliseconds(static_cast<std::int64_t>(arguments.session.timeout_s * 1000.0));
   const std::map<std::string, CommandKind> kinds{

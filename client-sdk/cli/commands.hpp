@@ -27,6 +27,7 @@ enum ExitCode : int {
 struct SessionArguments {
   std::uint32_t domain = 0;
   std::string session;
+  std::string security;  ///< folder of keys; empty: the environment's, or unsecured
   double timeout_s = 3.0;
 };
 
@@ -59,6 +60,7 @@ struct SessionsArguments {
 
 struct DoctorArguments {
   std::uint32_t domain = 0;
+  std::string security;  ///< folder of keys to look at
   double seconds = 2.0;
   bool network = true;
 };
@@ -104,6 +106,22 @@ struct CommandArguments {
   std::string tool;
 };
 
+struct KeysArguments {
+  std::string site;
+  std::string title = "sutured";
+  std::string protection = "encrypt-origin";
+  std::string name;
+  std::vector<std::string> roles, tools;
+  int domain = -1;  ///< all
+  std::string session;
+  int days = 0;
+};
+
+int run_keys_init(const KeysArguments& arguments);
+int run_keys_add(const KeysArguments& arguments);
+int run_keys_renew(const KeysArguments& arguments);
+int run_keys_revoke(const KeysArguments& arguments);
+int run_keys_list(const KeysArguments& arguments);
 int run_device(const DeviceArguments& arguments);
 int run_top(const TopArguments& arguments);
 int run_sessions(const SessionsArguments& arguments);

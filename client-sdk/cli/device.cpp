@@ -357,6 +357,7 @@ class Player {
     DeviceOptions options;
     options.domain = session.domain;
     options.session = session.session;
+    options.security = session.security;
     options.timeout = session.timeout;
     options.tool = track.tool;
     options.render = renders_itself_ ? Render::kDevice : Render::kServer;
@@ -458,6 +459,7 @@ Outcome play(const DeviceArguments& arguments, std::span<const SurgeonTrack* con
   SessionOptions session;
   session.domain = arguments.session.domain;
   session.session = arguments.session.session;
+  session.security = arguments.session.security;
   session.timeout =
       std::chrono::milliseconds(static_cast<std::int64_t>(arguments.session.timeout_s * 1000.0));
   Span span{tracks[0]->begin_s(), tracks[0]->end_s()};

@@ -25,6 +25,7 @@
 #include "commands.hpp"
 #include "network_probe.hpp"
 #include "protocol/participant.hpp"
+#include "protocol/security.hpp"
 
 namespace suture::cli {
 namespace {
@@ -286,6 +287,26 @@ void check_network(Report& report, EchoPeer& peer, double seconds) {
                  : "permit SCHED_FIFO, leave a processor free");
 }
 
+/// Keys that end during a course are worse than none: said a month before.
+void check_keys(Report& report, const std::string& folder) {
+  constexpr std::int64_t kSoon_s = 30 * 86400;
+  std::optional<Identity> identity;
+  try {
+    identity = read_identity(folder);
+  } catch (const Error& error) {
+    report.add(Grade::kBad, error.cause(), error.mend());
+    return;
+  }
+  std::string tools;
+  for (const std::string& tool : identity->tools) tools += " " + tool;
+  const bool soon = identity->expires_s - std::time(nullptr) < kSoon_s;
+  report.add(
+      soon ? Grade::kFair : Grade::kGood,
+      "keys of \"" + identity->name + "\" hold until " + date_text(identity->expires_s) +
+          (tools.empty() ? "" : "; tools:" + tools),
+      "`suture keys renew SITE " + identity->name + "` at the site, and copy the folder anew");
+}
+
 }  // namespace
 
 int run_doctor(const DoctorArguments& arguments) {
@@ -308,6 +329,10 @@ int run_doctor(const DoctorArguments& arguments) {
   check_socket_buffers(report);
   check_dropped(report);
   if (peer) check_network(report, *peer, arguments.seconds);
+  if (const std::string folder = security_folder(arguments.security); !folder.empty()) {
+    std::printf("security\n");
+    check_keys(report, folder);
+  }
   if (interrupted) return kInterrupted;
   switch (report.worst()) {
     case Grade::kGood:

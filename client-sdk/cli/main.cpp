@@ -64,10 +64,16 @@ int exit_code_of(ErrorCode code) {
   return kFailed;
 }
 
+void add_security_option(CLI::App& command, std::string& folder) {
+  command.add_option("--security", folder,
+                     "folder of keys that `suture keys add` made, or off; else SUTURE_SECURITY's");
+}
+
 void add_place_options(CLI::App& command, SessionArguments& session) {
   command.add_option("--domain", session.domain, "DDS domain, even; meshes use the next one")
       ->capture_default_str();
   command.add_option("--session", session.session, "session name (a DDS partition)");
+  add_security_option(command, session.security);
 }
 
 void add_session_options(CLI::App& command, SessionArguments& session) {
@@ -169,6 +175,7 @@ int run(int argc, char** argv) {
   doctor_command->add_option("--seconds", doctor.seconds, "how long each loop is measured")
       ->check(suture::within(0.2, 600.0, "s"))
       ->capture_default_str();
+  add_security_option(*doctor_command, doctor.security);
   doctor_command->add_flag("!--no-network", doctor.network, "leave out the DDS round trip");
   doctor_command->footer(
       "Example:\n"
@@ -282,6 +289,54 @@ int run(int argc, char** argv) {
       "  suture command rewind 10\n"
       "  suture command restore before-knot");
 
+  KeysArguments keys;
+  CLI::App* keys_command =
+      app.add_subcommand("keys", "Make a site's authority, and give and withdraw identities");
+  keys_command->require_subcommand(1);
+  const auto add_site = [&](CLI::App& of) {
+    of.add_option("site", keys.site, "the site's folder")->required();
+  };
+  const auto add_days = [&](CLI::App& of, const char* what) {
+    of.add_option("--days", keys.days, what)->check(CLI::Range(1, 36500))->capture_default_str();
+  };
+  CLI::App* keys_init = keys_command->add_subcommand("init", "Make a site's authority");
+  add_site(*keys_init);
+  keys_init->add_option("--title", keys.title, "name of the site")->capture_default_str();
+  add_days(*keys_init, "until the authority ends (3650)");
+  keys_init
+      ->add_option("--protection", keys.protection,
+                   "of messages: sign, encrypt, or encrypt-origin (also against insiders)")
+      ->check(CLI::IsMember({"sign", "encrypt", "encrypt-origin"}))
+      ->capture_default_str();
+  CLI::App* keys_add = keys_command->add_subcommand("add", "Give an identity");
+  add_site(*keys_add);
+  keys_add->add_option("name", keys.name, "of the identity, given once")->required();
+  keys_add
+      ->add_option("--role", keys.roles,
+                   "server, device, viewer, recorder or operator (commands); repeatable")
+      ->required()
+      ->allow_extra_args(false);
+  keys_add->add_option("--tool", keys.tools, "that a device may drive; repeatable")
+      ->allow_extra_args(false);
+  keys_add->add_option("--domain", keys.domain, "this domain (and the next one) only");
+  keys_add->add_option("--session", keys.session, "this session only");
+  add_days(*keys_add, "until it ends (365)");
+  CLI::App* keys_renew = keys_command->add_subcommand("renew", "Give an identity new keys");
+  add_site(*keys_renew);
+  keys_renew->add_option("name", keys.name, "of the identity")->required();
+  add_days(*keys_renew, "until it ends (365)");
+  CLI::App* keys_revoke = keys_command->add_subcommand("revoke", "Withdraw an identity");
+  add_site(*keys_revoke);
+  keys_revoke->add_option("name", keys.name, "of the identity")->required();
+  CLI::App* keys_list = keys_command->add_subcommand("list", "Say who may do what until when");
+  add_site(*keys_list);
+  keys_command->footer(
+      "Examples:\n"
+      "  suture keys init site\n"
+      "  suture keys add site theatre-1 --role server\n"
+      "  suture keys add site left-hand --role device --tool driver\n"
+      "  suture keys revoke site left-hand");
+
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
@@ -301,6 +356,11 @@ int run(int argc, char** argv) {
     if (*record_command) return run_record(record);
     if (*replay_command) return run_replay(replay);
     if (*snapshot_command) return run_snapshot(snapshot);
+    if (*keys_init) return run_keys_init(keys);
+    if (*keys_add) return run_keys_add(keys);
+    if (*keys_renew) return run_keys_renew(keys);
+    if (*keys_revoke) return run_keys_revoke(keys);
+    if (*keys_list) return run_keys_list(keys);
     return run_command(command);
   } catch (const Error& error) {
     std::fflush(stdout);

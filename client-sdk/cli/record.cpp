@@ -143,6 +143,7 @@ int run_record(const RecordArguments& arguments) {
   ParticipantOptions options;
   options.domain = arguments.session.domain;
   options.session = arguments.session.session;
+  options.security = arguments.session.security;
   const Participant control(options, Channel::kControl);
   const Participant mesh(options, Channel::kMesh);
   Recording recording(

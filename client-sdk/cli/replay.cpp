@@ -71,6 +71,8 @@ class Publishers {
     ParticipantOptions options;
     options.domain = arguments.domain;
     options.session = arguments.session;
+    options.security = arguments.security;
+    options.tool = "*";  // poses of whoever drove then
     return options;
   }
   struct Place {

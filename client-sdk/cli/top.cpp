@@ -87,6 +87,7 @@ int run_top(const TopArguments& arguments) {
   SessionOptions options;
   options.domain = arguments.session.domain;
   options.session = arguments.session.session;
+  options.security = arguments.session.security;
   options.timeout =
       std::chrono::milliseconds(static_cast<std::int64_t>(arguments.session.timeout_s * 1000.0));
   Session session(options);

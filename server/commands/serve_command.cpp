@@ -38,6 +38,7 @@ struct Options {
   std::string scene;
   std::string session;
   std::uint32_t domain = 0;
+  std::string security;  ///< folder of keys
   std::string http = "off";
   std::string http_tokens, http_page, http_certificate, http_key;
   std::vector<std::string> http_origins;
@@ -164,6 +165,7 @@ int serve(const Options& options) {
   suture::ParticipantOptions session;
   session.domain = options.domain;
   session.session = options.session;
+  session.security = options.security;
   // The web's door opens first: what is wrong with it is told before a large scene is read.
   std::optional<gateway::Gateway> web;
   if (options.http != "off") web.emplace(session, gateway_options(options, *log));
@@ -258,6 +260,8 @@ void add_serve_command(CLI::App& app, int& exit_code) {
                       "Session name: servers and devices of one name meet (a DDS partition)");
   command->add_option("--domain", options->domain,
                       "DDS domain, even; meshes for viewers travel in the next one");
+  command->add_option("--security", options->security,
+                      "Folder of keys that `suture keys add` made, or off; else SUTURE_SECURITY's");
   CLI::Option* http =
       command
           ->add_option("--http", options->http,

@@ -9,10 +9,12 @@
 namespace sutured::endpoints {
 
 ForceService::ForceService(const suture::Participant& participant,
-                           const std::vector<ServedTool>& tools) {
+                           const std::vector<ServedTool>& tools)
+    : secured_(participant.identity().has_value()) {
   for (const ServedTool& tool : tools) {
     auto line = std::make_unique<Line>();
     line->tool_id = suture::tool_id(tool.name);
+    line->partition = suture::tool_partition(tool.name);
     line->channel = tool.channel;
     lines_.push_back(std::move(line));
   }
@@ -46,7 +48,11 @@ void ForceService::on_poses() noexcept {
       continue;
     }
     Line& line = *found;
-    remember(info.writer);
+    const KnownWriter* const writer = remember(info.writer);
+    if (secured_ && (writer == nullptr || !may_drive(*writer, line))) {
+      strangers_.fetch_add(1, std::memory_order_relaxed);
+      continue;
+    }
     if (const auto force = line.channel->on_pose(pose_sample(pose, info.writer), taken_ns)) {
       const std::int64_t computed_ns = suture::monotonic_ns();
       send(line, *force);
@@ -125,18 +131,38 @@ void ForceService::send(const Line& line, const haptics::ForceSample& force) noe
   forces_.write(wire);
 }
 
-void ForceService::remember(std::uint64_t writer) noexcept {
+bool ForceService::may_drive(const KnownWriter& writer, const Line& line) const noexcept {
+  for (std::size_t i = 0; i < lines_.size(); ++i)
+    if (lines_[i].get() == &line) return (writer.rights >> i & 1U) != 0;
+  return false;
+}
+
+std::uint64_t ForceService::rights_of(std::uint64_t writer) const {
+  const std::vector<std::string> partitions = poses_.writer_partitions(writer);
+  const auto in = [&](const std::string& name) {
+    return std::find(partitions.begin(), partitions.end(), name) != partitions.end();
+  };
+  std::uint64_t rights = 0;
+  const bool every = in(suture::tool_partition("*"));
+  for (std::size_t i = 0; i < lines_.size() && i < 64; ++i)
+    if (every || in(lines_[i]->partition)) rights |= std::uint64_t{1} << i;
+  return rights;
+}
+
+const ForceService::KnownWriter* ForceService::remember(std::uint64_t writer) noexcept {
   for (const KnownWriter& known : writers_)
-    if (known.handle.load(std::memory_order_relaxed) == writer) return;
+    if (known.handle.load(std::memory_order_relaxed) == writer) return &known;
   const auto guid = poses_.writer_guid(writer);
-  if (!guid) return;
+  if (!guid) return nullptr;
   KnownWriter& place = writers_[next_writer_];
   next_writer_ = (next_writer_ + 1) % writers_.size();
   const auto words = std::bit_cast<std::array<std::uint64_t, 2>>(*guid);
   place.handle.store(0, std::memory_order_release);
   place.guid[0].store(words[0], std::memory_order_relaxed);
   place.guid[1].store(words[1], std::memory_order_relaxed);
+  place.rights = secured_ ? rights_of(writer) : 0;
   place.handle.store(writer, std::memory_order_release);
+  return &place;
 }
 
 suture::Guid ForceService::guid_of_writer(std::uint64_t writer) const noexcept {

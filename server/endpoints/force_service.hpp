@@ -30,6 +30,10 @@ struct ServedTool {
 /// nobody; only then do they go to whoever answers commands (`next_command`). So no slow
 /// viewer, full queue or busy publisher stands between a stop and the force.
 ///
+/// Where the session is secured, a tool obeys those writers alone that are in its partition
+/// (suture::tool_partition), into which DDS Security lets nobody whose permissions do not name
+/// the tool.
+///
 /// The pose listener runs on Cyclone's receive thread; it, and `tick` on the supervisor,
 /// are the only writers of forces. Both allocate nothing and log nothing; the one
 /// exception is a writer's first pose, whose GUID Cyclone is asked for.
@@ -62,7 +66,8 @@ class ForceService {
   }
   /// The same of `dds_write` alone, for all tools.
   haptics::LatencySummary take_write_times() noexcept { return write_times_.take(); }
-  /// Returns how many poses named a tool that the scene has not.
+  /// Returns how many poses named a tool that the scene has not, or that their writer may not
+  /// drive.
   [[nodiscard]] std::uint64_t strangers() const noexcept {
     return strangers_.load(std::memory_order_relaxed);
   }
@@ -70,6 +75,7 @@ class ForceService {
  private:
   struct Line {
     std::uint64_t tool_id = 0;
+    std::string partition;  // of those who may drive it
     haptics::ToolChannel* channel = nullptr;
     // Receive thread: of the last ToolRendered, whose writer it was and for which lease it
     // was looked at, and whether both are of one participant.
@@ -81,16 +87,21 @@ class ForceService {
   struct KnownWriter {
     std::atomic<std::uint64_t> handle{0};
     std::array<std::atomic<std::uint64_t>, 2> guid{};
+    std::uint64_t rights = 0;  // receive thread: bit i, that it may drive tool i
   };
 
   void on_poses() noexcept;
   void on_rendered() noexcept;
   void on_commands() noexcept;
   Line* line_of(std::uint64_t tool_id) noexcept;
+  [[nodiscard]] bool may_drive(const KnownWriter& writer, const Line& line) const noexcept;
+  [[nodiscard]] std::uint64_t rights_of(std::uint64_t writer) const;
   void set_stopped(bool stopped) noexcept;
-  void remember(std::uint64_t writer) noexcept;
+  /// Returns what is known of a writer; null where it has left.
+  const KnownWriter* remember(std::uint64_t writer) noexcept;
   void send(const Line& line, const haptics::ForceSample& force) noexcept;
 
+  bool secured_;
   std::vector<std::unique_ptr<Line>> lines_;
   std::array<KnownWriter, 64> writers_;
   std::size_t next_writer_ = 0;

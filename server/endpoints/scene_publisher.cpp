@@ -533,16 +533,20 @@ void ScenePublisher::execute(const suture::v1::Command& command, suture::v1::Com
 // What a device tells of itself holds while its poses move the tool.
 void ScenePublisher::heed_devices() {
   bool news = false;
-  profiles_.take_each([&](const suture::v1::DeviceProfile& profile,
-                          const suture::SampleInfo& info) {
-    if (!info.valid) return;
-    const std::string_view name = suture::text_of(profile.tool);
-    for (std::size_t i = 0; i < served_.tools.size(); ++i) {
-      if (served_.tools[i].name != name) continue;
-      profiles_told_[i].insert_or_assign(suture::guid_of(profile.device), device_limits(profile));
-      news = true;
-    }
-  });
+  profiles_.take_each(
+      [&](const suture::v1::DeviceProfile& profile, const suture::SampleInfo& info) {
+        if (!info.valid) return;
+        // Of itself, not of another: both writers of a device are of one participant.
+        const auto writer = profiles_.writer_guid(info.writer);
+        const suture::Guid device = suture::guid_of(profile.device);
+        if (!writer || !std::equal(writer->begin(), writer->begin() + 12, device.begin())) return;
+        const std::string_view name = suture::text_of(profile.tool);
+        for (std::size_t i = 0; i < served_.tools.size(); ++i) {
+          if (served_.tools[i].name != name) continue;
+          profiles_told_[i].insert_or_assign(device, device_limits(profile));
+          news = true;
+        }
+      });
   for (std::size_t i = 0; i < served_.tools.size(); ++i) {
     const std::uint64_t holder = served_.tools[i].channel->lease();
     if (holder == heeded_[i] && !news) continue;

@@ -40,6 +40,7 @@ void go_behind_other_threads() noexcept {
 
 suture::ParticipantOptions separate(suture::ParticipantOptions options) {
   options.separate = true;
+  options.tool = "*";  // the tokens say who may drive what
   return options;
 }
 

@@ -39,13 +39,17 @@ const char* name_of(CommandKind kind) noexcept {
 struct Session::State {
   explicit State(const SessionOptions& chosen)
       : options(chosen),
-        control({options.domain, options.session, options.properties}, Channel::kControl),
+        control({options.domain, options.session, options.security, ""}, Channel::kControl),
         server(await_server(control, options.timeout)),
-        status_reader(control),
-        reply_reader(control),
-        writer(control) {
+        status_reader(control) {
     status_waitset.attach(status_reader);
+  }
+  /// Only who commands needs the right to.
+  void prepare_commands() {
+    if (writer.handle() != 0) return;
+    reply_reader = Reader<v1::CommandReply>(control);
     reply_waitset.attach(reply_reader);
+    writer = Writer<v1::Command>(control);
   }
 
   SessionOptions options;
@@ -93,6 +97,7 @@ Status Session::status() {
 
 std::string Session::command(CommandKind kind, const CommandDetails& details) {
   State& state = *state_;
+  state.prepare_commands();
   const Clock::time_point end = Clock::now() + state.options.timeout;
   // Commands are not kept for late joiners: the server must hear this writer first, and be
   // heard. Discovery is an affair of milliseconds and gives no other sign than this count.

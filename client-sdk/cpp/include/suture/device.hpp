@@ -7,8 +7,6 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <utility>
-#include <vector>
 
 #include "suture/types.hpp"
 
@@ -34,8 +32,8 @@ struct DeviceOptions {
   /// Faster than so, in its own frame, no hand moves: beyond it a hand has jumped.
   double max_speed_m_per_s = 2.0;
   std::chrono::milliseconds timeout{3000};  ///< to find the server
-  /// Properties of DDS, such as those of DDS Security (`dds.sec.auth.identity_ca`, …).
-  std::vector<std::pair<std::string, std::string>> properties;
+  /// Folder of keys for DDS Security; empty: what `SUTURE_SECURITY` names, or unsecured.
+  std::string security;
 
   /// Without a force for so long, the SDK takes the last one to zero, within 30 ms more.
   std::chrono::milliseconds silent_after{15};

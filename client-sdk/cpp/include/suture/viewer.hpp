@@ -6,7 +6,6 @@
 #include <functional>
 #include <memory>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "suture/types.hpp"
@@ -18,8 +17,8 @@ struct SessionOptions {
   std::uint32_t domain = 0;                 ///< even, ≤ 230
   std::string session;                      ///< empty: the default session
   std::chrono::milliseconds timeout{3000};  ///< to find the server
-  /// Properties of DDS, such as those of DDS Security.
-  std::vector<std::pair<std::string, std::string>> properties;
+  /// Folder of keys for DDS Security; empty: what `SUTURE_SECURITY` names, or unsecured.
+  std::string security{};
 };
 
 /// What to do with what arrives. Only what is set is subscribed to.

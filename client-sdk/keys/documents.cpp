@@ -1,0 +1,161 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "keys/documents.hpp"
+
+#include <algorithm>
+#include <ctime>
+#include <set>
+#include <string_view>
+
+#include "protocol/security.hpp"
+#include "protocol/topics.hpp"
+
+namespace suture::keys {
+namespace {
+
+// Beyond it the plugin of Cyclone DDS 0.10 takes a document for damaged.
+constexpr int kLastDomain = 230;
+
+struct Topics {
+  std::set<std::string> written, read;
+};
+
+template <class... T>
+void add(std::set<std::string>& names) {
+  (names.insert(topic<T>().name), ...);
+}
+
+Topics topics_of(const Rights& rights) {
+  Topics topics;
+  for (const Role role : rights.roles) {
+    switch (role) {
+      case Role::kServer:
+        for (const TopicSpec& spec : all_topics()) {
+          topics.written.insert(spec.name);
+          topics.read.insert(spec.name);
+        }
+        break;
+      case Role::kDevice:
+        add<v1::ToolPose, v1::ToolRendered, v1::DeviceProfile>(topics.written);
+        add<v1::ServerStatus, v1::Event, v1::ToolForce, v1::HapticModel, v1::ToolPose>(topics.read);
+        break;
+      case Role::kViewer:
+        add<v1::ServerStatus, v1::Event>(topics.read);
+        for (const TopicSpec& spec : all_topics())
+          if (spec.channel == Channel::kMesh) topics.read.insert(spec.name);
+        break;
+      case Role::kRecorder:
+        for (const TopicSpec& spec : all_topics()) topics.read.insert(spec.name);
+        break;
+      case Role::kOperator:
+        add<v1::Command>(topics.written);
+        add<v1::CommandReply, v1::ServerStatus, v1::Event>(topics.read);
+        break;
+    }
+  }
+  return topics;
+}
+
+std::string escaped(std::string_view text) {
+  std::string result;
+  for (const char c : text) {
+    switch (c) {
+      case '&':
+        result += "&amp;";
+        break;
+      case '<':
+        result += "&lt;";
+        break;
+      case '>':
+        result += "&gt;";
+        break;
+      default:
+        result += c;
+    }
+  }
+  return result;
+}
+
+std::string date(std::int64_t unix_s) {
+  const std::time_t time = unix_s;
+  std::tm parts{};
+  gmtime_r(&time, &parts);
+  char text[32];
+  std::strftime(text, sizeof text, "%Y-%m-%dT%H:%M:%SZ", &parts);
+  return text;
+}
+
+std::string domains(const Rights& rights) {
+  const int first = std::max(rights.domain, 0);
+  const int last = rights.domain < 0 ? kLastDomain : rights.domain + 1;
+  return "<domains><id_range><min>" + std::to_string(first) + "</min><max>" + std::to_string(last) +
+         "</max></id_range></domains>";
+}
+
+// A session's name never begins with the mark of a tool, so that a right to every session
+// is none to a tool.
+std::vector<std::string> sessions(const Rights& rights) {
+  if (!rights.session.empty()) return {rights.session};
+  return {"", std::string("[!") + kToolMark + "]*"};
+}
+
+std::string criteria(const char* kind, const std::set<std::string>& topics,
+                     const std::vector<std::string>& partitions) {
+  if (topics.empty()) return "";
+  std::string xml = std::string("<") + kind + "><topics>";
+  for (const std::string& name : topics) xml += "<topic>" + name + "</topic>";
+  xml += "</topics><partitions>";
+  for (const std::string& name : partitions) xml += "<partition>" + escaped(name) + "</partition>";
+  return xml + "</partitions></" + kind + ">\n";
+}
+
+}  // namespace
+
+std::string governance_xml(Protection protection) {
+  const char* messages = protection == Protection::kSign ? "SIGN"
+                         : protection == Protection::kEncrypt
+                             ? "ENCRYPT"
+                             : "ENCRYPT_WITH_ORIGIN_AUTHENTICATION";
+  return std::string(R"(<?xml version="1.0" encoding="utf-8"?>
+<dds><domain_access_rules><domain_rule>
+<domains><id_range><min>0</min><max>230</max></id_range></domains>
+<allow_unauthenticated_participants>false</allow_unauthenticated_participants>
+<enable_join_access_control>true</enable_join_access_control>
+<discovery_protection_kind>ENCRYPT</discovery_protection_kind>
+<liveliness_protection_kind>ENCRYPT</liveliness_protection_kind>
+<rtps_protection_kind>)") +
+         messages + R"(</rtps_protection_kind>
+<topic_access_rules><topic_rule>
+<topic_expression>*</topic_expression>
+<enable_discovery_protection>true</enable_discovery_protection>
+<enable_liveliness_protection>true</enable_liveliness_protection>
+<enable_read_access_control>true</enable_read_access_control>
+<enable_write_access_control>true</enable_write_access_control>
+<metadata_protection_kind>NONE</metadata_protection_kind>
+<data_protection_kind>NONE</data_protection_kind>
+</topic_rule></topic_access_rules>
+</domain_rule></domain_access_rules></dds>
+)";
+}
+
+std::string permissions_xml(const std::string& subject, const Rights& rights, std::int64_t now_s,
+                            std::int64_t expires_s) {
+  const Topics topics = topics_of(rights);
+  std::vector<std::string> writes_in = sessions(rights);
+  const auto has = [&](Role role) {
+    return std::find(rights.roles.begin(), rights.roles.end(), role) != rights.roles.end();
+  };
+  if (has(Role::kServer)) {
+    writes_in.push_back(tool_partition("*"));
+  } else {
+    for (const std::string& tool : rights.tools) writes_in.push_back(tool_partition(tool));
+  }
+  return "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<dds><permissions><grant name=\"holder\">\n"
+         "<subject_name>" +
+         escaped(subject) + "</subject_name>\n<validity><not_before>" + date(now_s - 3600) +
+         "</not_before><not_after>" + date(expires_s) + "</not_after></validity>\n<allow_rule>" +
+         domains(rights) + "\n" + criteria("publish", topics.written, writes_in) +
+         criteria("subscribe", topics.read, sessions(rights)) +
+         "</allow_rule>\n<default>DENY</default>\n</grant></permissions></dds>\n";
+}
+
+}  // namespace suture::keys

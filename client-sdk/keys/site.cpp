@@ -1,0 +1,310 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "keys/site.hpp"
+
+#include <fcntl.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <ctime>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <sstream>
+#include <utility>
+
+#include "keys/authority.hpp"
+#include "keys/documents.hpp"
+#include "protocol/security.hpp"
+#include "suture/error.hpp"
+
+namespace suture::keys {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kRegister = "register.json";
+constexpr const char* kAuthorityKey = "authority.key.pem";
+constexpr const char* kIdentities = "identities";
+
+constexpr std::array<std::pair<Role, const char*>, 5> kRoles{{{Role::kServer, "server"},
+                                                              {Role::kDevice, "device"},
+                                                              {Role::kViewer, "viewer"},
+                                                              {Role::kRecorder, "recorder"},
+                                                              {Role::kOperator, "operator"}}};
+
+[[noreturn]] void refuse(const std::string& cause, const std::string& mend) {
+  throw Error(ErrorCode::kBadInput, cause, mend);
+}
+
+[[noreturn]] void cannot(const std::string& what, const fs::path& path) {
+  throw Error(ErrorCode::kPermissionDenied,
+              what + " " + path.string() + " failed: " + std::strerror(errno),
+              "see whether this user may write there, and whether the disk is full");
+}
+
+void make_folder(const fs::path& path) {
+  if (::mkdir(path.c_str(), 0700) != 0) cannot("making", path);
+}
+
+// Whole or not at all: a new file takes the old one's place once it is on the disk.
+void write_file(const fs::path& path, const std::string& text, mode_t mode) {
+  const std::string temporary = path.string() + ".new";
+  ::unlink(temporary.c_str());
+  const int file =
+      ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, mode);
+  if (file < 0) cannot("writing", temporary);
+  const ssize_t written = ::write(file, text.data(), text.size());
+  const bool whole = written == static_cast<ssize_t>(text.size()) && ::fchmod(file, mode) == 0 &&
+                     ::fsync(file) == 0;
+  const int fault = errno;
+  ::close(file);
+  if (!whole || ::rename(temporary.c_str(), path.c_str()) != 0) {
+    if (!whole) errno = fault;
+    const int kept = errno;
+    ::unlink(temporary.c_str());
+    errno = kept;
+    cannot("writing", path);
+  }
+}
+
+std::string read_file(const fs::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  text << file.rdbuf();
+  if (!file) cannot("reading", path);
+  return text.str();
+}
+
+KeyPair authority_of(const fs::path& folder) {
+  const fs::path key = folder / kAuthorityKey;
+  struct stat facts {};
+  if (::stat(key.c_str(), &facts) != 0) cannot("reading", key);
+  if ((facts.st_mode & 077) != 0)
+    throw Error(
+        ErrorCode::kPermissionDenied, "the authority's key " + key.string() + " is open to others",
+        "where others may have read it, make a new site; else `chmod 600 " + key.string() + "`");
+  return {read_file(key), read_file(folder / key_files::kAuthority)};
+}
+
+void check_name(const std::string& name) {
+  constexpr const char* kLetters =
+      "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-_.";
+  if (name.empty() || name.size() > 48 || name.front() == '.' ||
+      name.find_first_not_of(kLetters) != std::string::npos)
+    refuse("\"" + name + "\" names no identity",
+           "take 1 to 48 letters, digits, '-', '_' and '.', not a '.' first");
+}
+
+void check(const Rights& rights) {
+  const auto has = [&](Role role) {
+    return std::find(rights.roles.begin(), rights.roles.end(), role) != rights.roles.end();
+  };
+  if (rights.roles.empty()) refuse("an identity without a role may do nothing", "give --role");
+  if (has(Role::kDevice) && rights.tools.empty())
+    refuse("a device without a tool may drive none",
+           "give --tool NAME, as in the scene, once for each");
+  if (!has(Role::kDevice) && !rights.tools.empty())
+    refuse("only a device drives tools", "leave out --tool, or give --role device");
+  for (const std::string& tool : rights.tools)
+    if (tool.empty() || tool.size() > 32 || tool.find_first_of("*?[]\\,@") != std::string::npos)
+      refuse("\"" + tool + "\" names no tool", "take the name of a tool in the scene");
+  if (rights.domain >= 0 && (rights.domain % 2 != 0 || rights.domain > 228))
+    refuse("domain " + std::to_string(rights.domain) + " is not usable",
+           "take an even number from 0 to 228");
+  if (rights.session.size() > 64 || rights.session.find_first_of("*?[]\\,@") != std::string::npos)
+    refuse("\"" + rights.session + "\" names no session",
+           "take up to 64 characters without * ? [ ] \\ @ or a comma");
+}
+
+nlohmann::json json_of(const Entry& entry) {
+  nlohmann::json roles = nlohmann::json::array();
+  for (const Role role : entry.rights.roles) roles.push_back(name_of(role));
+  return {{"name", entry.name},
+          {"roles", roles},
+          {"tools", entry.rights.tools},
+          {"domain", entry.rights.domain},
+          {"session", entry.rights.session},
+          {"expires_s", entry.expires_s},
+          {"serials", entry.serials},
+          {"revoked", entry.revoked}};
+}
+
+Entry entry_of(const nlohmann::json& json) {
+  Entry entry;
+  entry.name = json.at("name");
+  for (const std::string role : json.at("roles")) entry.rights.roles.push_back(role_of(role));
+  entry.rights.tools = json.at("tools");
+  entry.rights.domain = json.at("domain");
+  entry.rights.session = json.at("session");
+  entry.expires_s = json.at("expires_s");
+  entry.serials = json.at("serials");
+  entry.revoked = json.at("revoked");
+  check_name(entry.name);
+  return entry;
+}
+
+std::vector<std::string> revoked_serials(const std::vector<Entry>& entries) {
+  std::vector<std::string> serials;
+  for (const Entry& entry : entries)
+    if (entry.revoked) serials.insert(serials.end(), entry.serials.begin(), entry.serials.end());
+  return serials;
+}
+
+// Puts the folder `made` in the place of `folder`, at once.
+void put_in_place(const fs::path& made, const fs::path& folder) {
+  if (::renameat2(AT_FDCWD, made.c_str(), AT_FDCWD, folder.c_str(),
+                  fs::exists(folder) ? RENAME_EXCHANGE : RENAME_NOREPLACE) != 0)
+    cannot("putting in place", folder);
+  fs::remove_all(made);  // what stood there before, or nothing
+}
+
+}  // namespace
+
+Role role_of(std::string_view name) {
+  for (const auto& [role, its_name] : kRoles)
+    if (name == its_name) return role;
+  refuse("\"" + std::string(name) + "\" is no role",
+         "take server, device, viewer, recorder or operator");
+}
+
+const char* name_of(Role role) noexcept {
+  for (const auto& [known, name] : kRoles)
+    if (known == role) return name;
+  return "unknown";
+}
+
+void Site::create(const fs::path& folder, const std::string& title, int days,
+                  Protection protection) {
+  if (title.empty() || title.size() > 40 ||
+      title.find_first_of(",/|=+\"\\<>;#&") != std::string::npos)
+    refuse("\"" + title + "\" names no site", "take 1 to 40 letters, digits, spaces, '-' and '_'");
+  if (fs::exists(folder)) {
+    if (!fs::is_directory(folder) || !fs::is_empty(folder))
+      refuse(folder.string() + " exists and is not empty", "name a new folder for the site");
+    fs::remove(folder);
+  }
+  const std::int64_t now = std::time(nullptr);
+  const KeyPair authority = make_authority(title, now, days);
+  const fs::path made = folder.string() + ".new";
+  fs::remove_all(made);
+  make_folder(made);
+  make_folder(made / kIdentities);
+  write_file(made / kAuthorityKey, authority.key, 0600);
+  write_file(made / key_files::kAuthority, authority.certificate, 0644);
+  write_file(made / key_files::kGovernance, sign(authority, governance_xml(protection)), 0644);
+  write_file(made / key_files::kRevoked, revocation_list(authority, {}, now), 0644);
+  write_file(made / kRegister, "[]\n", 0600);
+  put_in_place(made, folder);
+}
+
+Site::Site(const fs::path& folder) : folder_(folder) {
+  if (!fs::exists(folder_ / kRegister))
+    refuse(folder_.string() + " is no site",
+           "make one with `suture keys init " + folder_.string() + "`");
+  lock_ = ::open(folder_.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (lock_ < 0) cannot("opening", folder_);
+  if (::flock(lock_, LOCK_EX | LOCK_NB) != 0) {
+    ::close(lock_);
+    refuse("another process works on the site " + folder_.string(), "wait until it has ended");
+  }
+  try {
+    for (const auto& json : nlohmann::json::parse(read_file(folder_ / kRegister)))
+      entries_.push_back(entry_of(json));
+  } catch (const nlohmann::json::exception& error) {
+    ::close(lock_);
+    refuse((folder_ / kRegister).string() + " is damaged: " + error.what(),
+           "bring it back from a backup");
+  } catch (...) {
+    ::close(lock_);
+    throw;
+  }
+}
+
+Site::~Site() { ::close(lock_); }
+
+fs::path Site::folder_of(const std::string& name) const { return folder_ / kIdentities / name; }
+
+Entry& Site::entry(const std::string& name) {
+  const auto found = std::find_if(entries_.begin(), entries_.end(),
+                                  [&](const Entry& entry) { return entry.name == name; });
+  if (found == entries_.end())
+    refuse("the site has no identity \"" + name + "\"", "see `suture keys list`");
+  return *found;
+}
+
+fs::path Site::add(const std::string& name, const Rights& rights, std::int64_t seconds) {
+  check_name(name);
+  check(rights);
+  for (const Entry& entry : entries_)
+    if (entry.name == name)
+      refuse("the site has an identity \"" + name + "\"" + (entry.revoked ? ", revoked" : ""),
+             entry.revoked ? "a name is given once: take another"
+                           : "`suture keys renew` it, or take another name");
+  const auto before = entries_;
+  try {
+    return issue(entries_.emplace_back(Entry{name, rights, 0, {}, false}), seconds);
+  } catch (...) {
+    entries_ = before;
+    throw;
+  }
+}
+
+fs::path Site::renew(const std::string& name, std::int64_t seconds) {
+  Entry& which = entry(name);
+  if (which.revoked)
+    refuse("\"" + name + "\" is revoked", "a name is given once: add another identity");
+  return issue(which, seconds);
+}
+
+fs::path Site::issue(Entry& which, std::int64_t seconds) {
+  const KeyPair authority = authority_of(folder_);
+  const std::int64_t now = std::time(nullptr);
+  const std::int64_t end = expiry_of(authority.certificate);
+  if (now + seconds > end)
+    refuse("the site's authority ends on " + date_text(end) + ", before that",
+           "give fewer --days, or make a new site");
+  // Registered before it exists: what is not registered cannot be revoked.
+  which.expires_s = now + seconds;
+  which.serials.push_back(make_serial());
+  save();
+  const KeyPair pair = certify(authority, which.name, which.serials.back(), now, which.expires_s);
+  const fs::path folder = folder_of(which.name);
+  const fs::path made = folder.string() + ".new";
+  fs::remove_all(made);
+  make_folder(made);
+  write_file(made / key_files::kAuthority, authority.certificate, 0644);
+  write_file(made / key_files::kCertificate, pair.certificate, 0644);
+  write_file(made / key_files::kKey, pair.key, 0600);
+  write_file(made / key_files::kGovernance, read_file(folder_ / key_files::kGovernance), 0644);
+  write_file(made / key_files::kPermissions,
+             sign(authority, permissions_xml(subject_of(pair.certificate), which.rights, now,
+                                             which.expires_s)),
+             0644);
+  write_file(made / key_files::kRevoked, read_file(folder_ / key_files::kRevoked), 0644);
+  put_in_place(made, folder);
+  return folder;
+}
+
+void Site::revoke(const std::string& name) {
+  Entry& which = entry(name);
+  which.revoked = true;
+  save();
+  const std::string list =
+      revocation_list(authority_of(folder_), revoked_serials(entries_), std::time(nullptr));
+  write_file(folder_ / key_files::kRevoked, list, 0644);
+  for (const Entry& other : entries_)
+    if (fs::is_directory(folder_of(other.name)))
+      write_file(folder_of(other.name) / key_files::kRevoked, list, 0644);
+}
+
+void Site::save() const {
+  nlohmann::json all = nlohmann::json::array();
+  for (const Entry& entry : entries_) all.push_back(json_of(entry));
+  write_file(folder_ / kRegister, all.dump(1) + "\n", 0600);
+}
+
+}  // namespace suture::keys
