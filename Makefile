@@ -141,6 +141,13 @@ faults: deps-test ## Inject every fault into servers and devices over DDS: docs/
 	  --commit "$$(git describe --always --dirty 2>/dev/null || echo unknown)"; result=$$?; \
 	/usr/bin/python3 tests/faults/plot.py out/faults/faults.csv docs/images/faults.png && exit $$result
 
+.PHONY: attacks
+attacks: deps-test ## Set every attacker on a secured server: docs/results/security.md
+	@cmake --preset release -DSUTURED_TESTS=ON -DSUTURED_BENCH=OFF >/dev/null
+	@cmake --build --preset release --target sutured_attacks
+	@$(BIN)/tests/attacks/sutured_attacks --table docs/results/security.md \
+	  --commit "$$(git describe --always --dirty 2>/dev/null || echo unknown)"
+
 .PHONY: fidelity
 fidelity: deps-test ## Compare rendered forces with a full re-solve; renews docs/results/haptic-fidelity.md
 	@cmake --preset release -DSUTURED_TESTS=OFF -DSUTURED_BENCH=ON >/dev/null

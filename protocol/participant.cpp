@@ -15,7 +15,8 @@ namespace {
 // network.
 constexpr std::uint32_t kSeparate = 1000;
 
-std::string domain_configuration(std::uint32_t network_domain, Channel channel, bool realtime) {
+std::string domain_configuration(std::uint32_t network_domain, const Network& network,
+                                 Channel channel, bool realtime) {
   std::string xml =
       "<CycloneDDS><Domain Id=\"any\">"
       "<Tracing><Verbosity>severe</Verbosity><OutputFile>stderr</OutputFile></Tracing>"
@@ -35,7 +36,7 @@ std::string domain_configuration(std::uint32_t network_domain, Channel channel, 
     xml += "<Threads><Thread Name=\"recv\"><Scheduling><Class>realtime</Class><Priority>" +
            std::to_string(kReceivePriority) + "</Priority></Scheduling></Thread></Threads>";
   }
-  xml += "</Domain></CycloneDDS>";
+  xml += "</Domain></CycloneDDS>," + network_configuration(network);
   // concurrency: read once at set-up; nothing in this library calls setenv.
   const char* user = std::getenv("CYCLONEDDS_URI");  // NOLINT(concurrency-mt-unsafe)
   if (user != nullptr && *user != '\0') xml = xml + "," + user;
@@ -61,15 +62,16 @@ Domains& domains() {
   return instance;
 }
 
-bool open_domain(std::uint32_t id, std::uint32_t network_domain, Channel channel) {
+bool open_domain(std::uint32_t id, std::uint32_t network_domain, const Network& network,
+                 Channel channel) {
   Domains& all = domains();
   const std::lock_guard lock(all.mutex);
   Domains::Use& use = all.uses[id];
   if (use.users == 0 && use.handle == 0) {
     const bool realtime =
         id == network_domain && channel == Channel::kControl && may_run_realtime(kReceivePriority);
-    const dds_entity_t handle =
-        dds_create_domain(id, domain_configuration(network_domain, channel, realtime).c_str());
+    const dds_entity_t handle = dds_create_domain(
+        id, domain_configuration(network_domain, network, channel, realtime).c_str());
     if (handle < 0 && handle != DDS_RETCODE_PRECONDITION_NOT_MET) {
       all.uses.erase(id);
       throw Error(ErrorCode::kNetwork,
@@ -79,6 +81,13 @@ bool open_domain(std::uint32_t id, std::uint32_t network_domain, Channel channel
                   "is valid (its faults are printed above)");
     }
     use.handle = handle > 0 ? handle : 0;
+    try {
+      confine_sockets(network_domain, network);
+    } catch (...) {
+      if (handle > 0) dds_delete(handle);
+      all.uses.erase(id);
+      throw;
+    }
     use.realtime = handle > 0 && realtime;
   }
   ++use.users;
@@ -183,8 +192,9 @@ Participant::Participant(const ParticipantOptions& options, Channel channel)
     if (!options.tool.empty() && !state.identity->may_drive(options.tool))
       refuse_tool(*state.identity, options.tool);
   }
+  const Network network = find_network(options.network, state.identity.has_value());
   state.domain = network_domain + (options.separate ? kSeparate : 0U);
-  state.realtime = open_domain(state.domain, network_domain, channel);
+  state.realtime = open_domain(state.domain, network_domain, network, channel);
   state.opened = true;
 
   const QosPtr qos(dds_create_qos(), &dds_delete_qos);

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "protocol/network.hpp"
 #include "protocol/security.hpp"
 #include "protocol/topics.hpp"
 #include "suture/error.hpp"
@@ -23,9 +24,9 @@ inline constexpr std::uint32_t kMaxDomain = 230;
 /// Says which session to take part in, and how.
 struct ParticipantOptions {
   std::uint32_t domain = 0;  ///< even, ≤ kMaxDomain; meshes use domain + 1
-  std::string session;       ///< DDS partition; empty is the default session
-  std::string security;      ///< folder of keys; empty: as `security_folder` says
-  std::string tool;          ///< that its writers claim, "*": any; empty: none
+  std::string session{};     ///< DDS partition; empty is the default session
+  std::string security{};    ///< folder of keys; empty: as `security_folder` says
+  std::string tool{};        ///< that its writers claim, "*": any; empty: none
   /// Take part as if from another process, with receive threads of one's own: what is
   /// written reaches the other participants of this process by the network, never on the
   /// writing thread. For those who serve strangers inside a process that renders forces.
@@ -34,6 +35,7 @@ struct ParticipantOptions {
   /// Hear every session of the domain instead of one, and say nothing: `session` must be empty,
   /// and writers cannot be made.
   bool every_session = false;
+  NetworkOptions network{};
 };
 
 /// Says whether the present process may run SCHED_FIFO threads of `priority`: it
@@ -48,14 +50,13 @@ inline constexpr int kReceivePriority = 70;
 /// writers are made from it and must be destroyed before it.
 ///
 /// The first participant of a domain in this process configures it; after our own
-/// settings those of the environment's `CYCLONEDDS_URI` apply (an interface, peers),
-/// and last what safety needs (no shared memory: after a kill of one side the other
-/// hung for minutes).
-/// Threads: any, also at once.
+/// settings those of the environment's `CYCLONEDDS_URI` apply (buffers, tracing; interfaces and
+/// peers are `network`'s), and last what safety needs (no shared memory: after a kill of one side
+/// the other hung for minutes). Threads: any, also at once.
 class Participant {
  public:
   /// Throws Error kBadInput (domain odd or too large), kNetwork, kPermissionDenied (keys that
-  /// do not hold, or do not give the tool).
+  /// do not hold, or do not give the tool; a network without keys).
   Participant(const ParticipantOptions& options, Channel channel);
   ~Participant();
   Participant(Participant&&) noexcept;

@@ -75,6 +75,22 @@ std::optional<ServerInfo> listen(const Participant& participant, std::chrono::na
   return found;
 }
 
+/// Who is secured hears nobody who is not: looks for a server without keys in the session, to say
+/// so. It only listens.
+std::optional<ServerInfo> find_unsecured_server(const Participant& participant) {
+  constexpr std::chrono::milliseconds kListen(1000);
+  ParticipantOptions options = participant.options();
+  options.separate = true;
+  options.security = "off";
+  options.tool.clear();
+  options.network.unsecured = true;
+  try {
+    return listen(Participant(options, Channel::kControl), kListen, {});
+  } catch (const Error&) {
+    return std::nullopt;  // the error to come says more
+  }
+}
+
 }  // namespace
 
 std::string session_text(std::string_view session) {
@@ -125,6 +141,15 @@ ServerInfo await_server(const Participant& participant, std::chrono::nanoseconds
                     ", this client " + topic<v1::ServerStatus>().descriptor->m_typename + ")",
                 "update the older of the two");
   }
+  const std::optional<Identity>& identity = participant.identity();
+  if (identity && !options.separate) {
+    if (const auto open = find_unsecured_server(participant))
+      throw Error(ErrorCode::kPermissionDenied,
+                  "the server of " + session_text(options.session) + " (sutured " + open->version +
+                      " on " + open->host +
+                      ") is not secured, and these keys trust nobody who is not",
+                  "start it with --security FOLDER, or say --security off here");
+  }
   std::string cause = "no server answers in domain " + std::to_string(options.domain) + ", " +
                       session_text(options.session);
   if (!others.sessions.empty()) {
@@ -135,10 +160,16 @@ ServerInfo await_server(const Participant& participant, std::chrono::nanoseconds
     }
     cause += ")";
   }
+  if (identity)
+    throw Error(ErrorCode::kNoServer, cause + " to the keys of \"" + identity->name + "\"",
+                "where a server runs there, it may refuse these keys (another authority, revoked, "
+                "another session or domain in the permissions): its log names the cause; else "
+                "check domain, session, --interface and --peer");
   throw Error(ErrorCode::kNoServer, cause,
               "start `sutured serve SCENE.toml --domain " + std::to_string(options.domain) +
                   (options.session.empty() ? "" : " --session " + options.session) +
-                  "`, or check domain, session, network interface and firewall");
+                  "`, or check domain, session, --interface, --peer and firewall; a secured server "
+                  "answers only with --security");
 }
 
 void listen_to_servers(

@@ -9,6 +9,8 @@
 #include <string>
 #include <vector>
 
+#include "suture/network.hpp"
+
 namespace suture::cli {
 
 /// Exit codes, the same for all subcommands; `--help` lists them.
@@ -28,6 +30,7 @@ struct SessionArguments {
   std::uint32_t domain = 0;
   std::string session;
   std::string security;  ///< folder of keys; empty: the environment's, or unsecured
+  NetworkOptions network;
   double timeout_s = 3.0;
 };
 

@@ -358,6 +358,7 @@ class Player {
     options.domain = session.domain;
     options.session = session.session;
     options.security = session.security;
+    options.network = session.network;
     options.timeout = session.timeout;
     options.tool = track.tool;
     options.render = renders_itself_ ? Render::kDevice : Render::kServer;
@@ -460,6 +461,7 @@ Outcome play(const DeviceArguments& arguments, std::span<const SurgeonTrack* con
   session.domain = arguments.session.domain;
   session.session = arguments.session.session;
   session.security = arguments.session.security;
+  session.network = arguments.session.network;
   session.timeout =
       std::chrono::milliseconds(static_cast<std::int64_t>(arguments.session.timeout_s * 1000.0));
   Span span{tracks[0]->begin_s(), tracks[0]->end_s()};

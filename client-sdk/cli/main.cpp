@@ -74,6 +74,15 @@ void add_place_options(CLI::App& command, SessionArguments& session) {
       ->capture_default_str();
   command.add_option("--session", session.session, "session name (a DDS partition)");
   add_security_option(command, session.security);
+  command.add_option("--interface", session.network.interface,
+                     "network interface, name or IPv4 address; else SUTURE_INTERFACE's, else this "
+                     "machine alone");
+  command
+      .add_option("--peer", session.network.peers,
+                  "host to look for, once for each; nobody else is heard; else SUTURE_PEERS'")
+      ->allow_extra_args(false);
+  command.add_flag("--unsecured-network", session.network.unsecured,
+                   "take part in a network without keys: whoever is on it may drive");
 }
 
 void add_session_options(CLI::App& command, SessionArguments& session) {

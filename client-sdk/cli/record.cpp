@@ -144,6 +144,7 @@ int run_record(const RecordArguments& arguments) {
   options.domain = arguments.session.domain;
   options.session = arguments.session.session;
   options.security = arguments.session.security;
+  options.network = arguments.session.network;
   const Participant control(options, Channel::kControl);
   const Participant mesh(options, Channel::kMesh);
   Recording recording(

@@ -72,6 +72,7 @@ class Publishers {
     options.domain = arguments.domain;
     options.session = arguments.session;
     options.security = arguments.security;
+    options.network = arguments.network;
     options.tool = "*";  // poses of whoever drove then
     return options;
   }

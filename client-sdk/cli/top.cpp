@@ -88,6 +88,7 @@ int run_top(const TopArguments& arguments) {
   options.domain = arguments.session.domain;
   options.session = arguments.session.session;
   options.security = arguments.session.security;
+  options.network = arguments.session.network;
   options.timeout =
       std::chrono::milliseconds(static_cast<std::int64_t>(arguments.session.timeout_s * 1000.0));
   Session session(options);

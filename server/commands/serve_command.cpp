@@ -39,6 +39,7 @@ struct Options {
   std::string session;
   std::uint32_t domain = 0;
   std::string security;  ///< folder of keys
+  suture::NetworkOptions network;
   std::string http = "off";
   std::string http_tokens, http_page, http_certificate, http_key;
   std::vector<std::string> http_origins;
@@ -166,6 +167,7 @@ int serve(const Options& options) {
   session.domain = options.domain;
   session.session = options.session;
   session.security = options.security;
+  session.network = options.network;
   // The web's door opens first: what is wrong with it is told before a large scene is read.
   std::optional<gateway::Gateway> web;
   if (options.http != "off") web.emplace(session, gateway_options(options, *log));
@@ -262,6 +264,16 @@ void add_serve_command(CLI::App& app, int& exit_code) {
                       "DDS domain, even; meshes for viewers travel in the next one");
   command->add_option("--security", options->security,
                       "Folder of keys that `suture keys add` made, or off; else SUTURE_SECURITY's");
+  command->add_option("--interface", options->network.interface,
+                      "Network interface, name or IPv4 address; else SUTURE_INTERFACE's, else this "
+                      "machine alone");
+  command
+      ->add_option("--peer", options->network.peers,
+                   "Host of a device or viewer, repeatable: nobody else is heard; else "
+                   "SUTURE_PEERS'")
+      ->allow_extra_args(false);
+  command->add_flag("--unsecured-network", options->network.unsecured,
+                    "Serve a network without keys: whoever is on it may drive the tools");
   CLI::Option* http =
       command
           ->add_option("--http", options->http,

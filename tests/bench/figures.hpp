@@ -64,6 +64,7 @@ void measure_tick(Figures& figures);
 void measure_fidelity(Figures& figures);
 void measure_wakeup(Figures& figures);
 void measure_roundtrip(Figures& figures);
+void measure_security(Figures& figures);
 void measure_mesh(Figures& figures);
 void measure_viewers(Figures& figures);
 
@@ -75,7 +76,9 @@ void study_thread_model();
 void study_fidelity(const std::string& folder);
 
 /// Answers every pose of a session with a force, without any thought, until it is killed.
-[[noreturn]] void echo(std::uint32_t domain, const std::string& session);
+/// `security`: folder of keys, or off.
+[[noreturn]] void echo(std::uint32_t domain, const std::string& session,
+                       const std::string& security);
 /// Serves the main scene until it is killed, and writes large meshes beside between SIGUSR1 and
 /// SIGUSR2.
 [[noreturn]] void serve_with_mesh(std::uint32_t domain, const std::string& session);

@@ -34,7 +34,7 @@ int main(int argc, char** argv) {
   app.add_option("--commit", commit, "What was built, for the record");
   app.add_option("--only", only,
                  "Measure these alone: step, closure, checkpoint, tissue, tick, fidelity, wakeup, "
-                 "roundtrip, mesh, viewers");
+                 "roundtrip, security, mesh, viewers");
   std::uint32_t domain = 0;
   std::string session;
   auto* echo = app.add_option("--echo", domain, "Be the bare echo in this DDS domain instead");
@@ -43,6 +43,8 @@ int main(int argc, char** argv) {
   app.add_option("--session", session, "Session of these");
   std::uint16_t port = 0;
   auto* watch = app.add_option("--watch-web", port, "Be fifty viewers of the gateway at this port");
+  std::string security = "off";
+  app.add_option("--security", security, "Folder of keys of the echo, or off");
   bool thread_model = false;
   app.add_flag("--thread-model", thread_model,
                "Compare where a thread's tension acts instead: a table, no figures");
@@ -62,11 +64,12 @@ int main(int argc, char** argv) {
       {"fidelity", sutured::bench::measure_fidelity},
       {"wakeup", sutured::bench::measure_wakeup},
       {"roundtrip", sutured::bench::measure_roundtrip},
+      {"security", sutured::bench::measure_security},
       {"mesh", sutured::bench::measure_mesh},
       {"viewers", sutured::bench::measure_viewers},
   };
   try {
-    if (*echo) sutured::bench::echo(domain, session);
+    if (*echo) sutured::bench::echo(domain, session, security);
     if (*serve) sutured::bench::serve_with_mesh(domain, session);
     if (*view) {
       sutured::bench::view_mesh(domain, session);

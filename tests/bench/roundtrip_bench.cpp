@@ -68,8 +68,9 @@ Counted play(const suture::SurgeonTrack& track, Pinger& ours, Pinger& theirs) {
 
 }  // namespace
 
-[[noreturn]] void echo(std::uint32_t domain, const std::string& session) {
-  const suture::Participant participant({domain, session, {}}, suture::Channel::kControl);
+[[noreturn]] void echo(std::uint32_t domain, const std::string& session,
+                       const std::string& security) {
+  const suture::Participant participant({domain, session, security}, suture::Channel::kControl);
   suture::Writer<ToolForce> writer(participant);
   std::atomic<bool> ready{false};
   suture::Reader<ToolPose> reader;

@@ -91,14 +91,15 @@ def play(build, folder, options, surgeon, tool, renderer):
                 break
         if len(enter) != 2:
             raise Fault("no two hosts on this machine; the reason stands above")
-        server = subprocess.Popen([*enter["a"], f"{build}/server/sutured", "serve", SCENE],
+        server = subprocess.Popen([*enter["a"], f"{build}/server/sutured", "serve", SCENE,
+                                   "--interface", "eth0", "--unsecured-network"],
                                   stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         try:
             await_line(server, "serving scene")
             log, summary = os.path.join(folder, "log.csv"), os.path.join(folder, "summary.json")
             device = subprocess.run([*enter["b"], f"{build}/client-sdk/cli/suture", "device", "--surgeon", surgeon,
                                      "--render", renderer, "--log", log, "--summary", summary, "--timeout", "30",
-                                     "--quiet"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+                                     "--interface", "eth0", "--peer", "10.0.0.1", "--unsecured-network", "--quiet"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
             if device.returncode != 0:
                 raise Fault(f"suture device ended with {device.returncode}: {device.stdout}")
         finally:

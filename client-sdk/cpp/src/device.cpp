@@ -128,7 +128,8 @@ struct Device::State {
   explicit State(DeviceOptions chosen)
       : options(std::move(chosen)),
         id(tool_id(options.tool)),
-        participant({options.domain, options.session, options.security, options.tool},
+        participant({options.domain, options.session, options.security, options.tool, false,
+                     options.network},
                     Channel::kControl),
         guard(std::chrono::nanoseconds(options.silent_after).count()) {}
 

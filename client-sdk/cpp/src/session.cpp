@@ -39,7 +39,8 @@ const char* name_of(CommandKind kind) noexcept {
 struct Session::State {
   explicit State(const SessionOptions& chosen)
       : options(chosen),
-        control({options.domain, options.session, options.security, ""}, Channel::kControl),
+        control({options.domain, options.session, options.security, "", false, options.network},
+                Channel::kControl),
         server(await_server(control, options.timeout)),
         status_reader(control) {
     status_waitset.attach(status_reader);

@@ -57,7 +57,8 @@ class Network : public ::testing::Test {
   bool start(std::vector<std::string> between) {
     hosts_.emplace(std::move(between));
     if (!hosts_->missing().empty()) return false;
-    server_.emplace(hosts_->on_a({SUTURED_PROGRAM, "serve", kScene}));
+    server_.emplace(hosts_->on_a(
+        {SUTURED_PROGRAM, "serve", kScene, "--interface", "eth0", "--unsecured-network"}));
     server_->read_until("serving scene");
     return true;
   }
@@ -70,10 +71,10 @@ class Network : public ::testing::Test {
     for (double t = 0.8; t < end_s + 0.1; t += 0.2)
       surgeon << t << ",probe," << 0.0073 + 2e-4 * std::sin(7 * (t - 0.6))
               << ",0,-0.008,0,0,0,1,0\n";
-    return std::make_unique<Process>(
-        hosts_->on_b({SUTURE_CLI, "device", "--surgeon", folder_.write("s.csv", surgeon.str()),
-                      "--render", render, "--log", log_, "--summary", folder_.path("summary.json"),
-                      "--timeout", "30", "--quiet"}));
+    return std::make_unique<Process>(hosts_->on_b(
+        {SUTURE_CLI, "device", "--surgeon", folder_.write("s.csv", surgeon.str()), "--render",
+         render, "--log", log_, "--summary", folder_.path("summary.json"), "--timeout", "30",
+         "--quiet", "--interface", "eth0", "--peer", "10.0.0.1", "--unsecured-network"}));
   }
   nlohmann::json summary() const {
     return nlohmann::json::parse(testing::read_file(folder_.path("summary.json")));

@@ -8,6 +8,7 @@
 #include <optional>
 #include <string>
 
+#include "suture/network.hpp"
 #include "suture/types.hpp"
 
 namespace suture {
@@ -34,6 +35,7 @@ struct DeviceOptions {
   std::chrono::milliseconds timeout{3000};  ///< to find the server
   /// Folder of keys for DDS Security; empty: what `SUTURE_SECURITY` names, or unsecured.
   std::string security;
+  NetworkOptions network;
 
   /// Without a force for so long, the SDK takes the last one to zero, within 30 ms more.
   std::chrono::milliseconds silent_after{15};

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "suture/network.hpp"
 #include "suture/types.hpp"
 
 namespace suture {
@@ -19,6 +20,7 @@ struct SessionOptions {
   std::chrono::milliseconds timeout{3000};  ///< to find the server
   /// Folder of keys for DDS Security; empty: what `SUTURE_SECURITY` names, or unsecured.
   std::string security{};
+  NetworkOptions network{};
 };
 
 /// What to do with what arrives. Only what is set is subscribed to.
