@@ -81,12 +81,14 @@ bool open_domain(std::uint32_t id, std::uint32_t network_domain, const Network& 
                   "is valid (its faults are printed above)");
     }
     use.handle = handle > 0 ? handle : 0;
-    try {
-      confine_sockets(network_domain, network);
-    } catch (...) {
-      if (handle > 0) dds_delete(handle);
-      all.uses.erase(id);
-      throw;
+    if (handle > 0) {  // else another's, who sees to it
+      try {
+        confine_sockets(network_domain, network);
+      } catch (...) {
+        dds_delete(handle);
+        all.uses.erase(id);
+        throw;
+      }
     }
     use.realtime = handle > 0 && realtime;
   }

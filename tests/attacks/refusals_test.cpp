@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// What people are told: real processes, keys by `suture keys`, each refusal with its cause.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/stat.h>
+
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "support/process.hpp"
+#include "support/temporary_folder.hpp"
+#include "support/test_session.hpp"
+
+namespace sutured {
+namespace {
+
+using ::testing::HasSubstr;
+using testing::own_session;
+using testing::Process;
+
+struct Said {
+  int code = 0;
+  std::string text;
+};
+
+Said run(const std::vector<std::string>& command) {
+  Process process(command);
+  const int code = process.wait();
+  return {code, process.output()};
+}
+
+class Refusals : public ::testing::Test {
+ protected:
+  Refusals() {
+    EXPECT_EQ(keys({"init", site_}).code, 0);
+    add("server", {"--role", "server"});
+    add("driver", {"--role", "device", "--tool", "driver"});
+    add("viewer", {"--role", "viewer"});
+    add("teacher", {"--role", "operator", "--role", "viewer"});
+  }
+
+  static Said keys(std::vector<std::string> words) {
+    words.insert(words.begin(), {SUTURE_CLI, "keys"});
+    return run(words);
+  }
+  void add(const std::string& name, std::vector<std::string> rights) const {
+    rights.insert(rights.begin(), {"add", site_, name});
+    const Said said = keys(rights);
+    EXPECT_EQ(said.code, 0) << said.text;
+  }
+  [[nodiscard]] std::string folder(const std::string& name) const {
+    return site_ + "/identities/" + name;
+  }
+  void serve(const std::string& security) {
+    server_ = std::make_unique<Process>(in_session(
+        {SUTURED_PROGRAM, "serve", SUTURED_SOURCE_DIR "/server/scenes/anastomosis/scene.toml"},
+        security));
+    server_->read_until("serving scene");
+  }
+  static std::vector<std::string> in_session(std::vector<std::string> words,
+                                             const std::string& security) {
+    for (const std::string& word :
+         {std::string("--domain"), std::to_string(own_session().domain), std::string("--session"),
+          own_session().session, std::string("--security"), security})
+      words.push_back(word);
+    return words;
+  }
+  static Said suture(std::vector<std::string> words, const std::string& security) {
+    words.insert(words.begin(), SUTURE_CLI);
+    return run(in_session(words, security));
+  }
+
+  testing::TemporaryFolder folder_;
+  std::string site_ = folder_.path("site");
+  std::unique_ptr<Process> server_;
+};
+
+TEST_F(Refusals, EachRoleDoesItsPartAndNoOther) {
+  serve(folder("server"));
+  const std::string hands = folder_.write("hands.csv",
+                                          "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw\n"
+                                          "0,driver,0,0,0.05,0,0,0,1,0\n"
+                                          "0.3,driver,0,0,0.05,0,0,0,1,0\n");
+  const Said plays = suture({"device", "--surgeon", hands, "--timeout", "30"}, folder("driver"));
+  EXPECT_EQ(plays.code, 0) << plays.text;
+  const Said sees = suture({"top", "--once", "--timeout", "30"}, folder("viewer"));
+  EXPECT_EQ(sees.code, 0) << sees.text;
+  const Said commands = suture({"command", "pause", "--timeout", "30"}, folder("teacher"));
+  EXPECT_EQ(commands.code, 0) << commands.text;
+
+  const Said may_not = suture({"command", "pause", "--timeout", "30"}, folder("viewer"));
+  EXPECT_EQ(may_not.code, 6) << may_not.text;
+  EXPECT_THAT(may_not.text, HasSubstr("Not Allowed By Security"));
+  const Said no_tool = suture({"device", "--surgeon", hands, "--timeout", "30"}, folder("viewer"));
+  EXPECT_EQ(no_tool.code, 6) << no_tool.text;
+  EXPECT_THAT(no_tool.text, HasSubstr("give no right to the tool \"driver\""));
+}
+
+TEST_F(Refusals, AServerSaysWhyItRefusesOtherKeys) {
+  const std::string elsewhere = folder_.path("elsewhere");
+  ASSERT_EQ(keys({"init", elsewhere}).code, 0);
+  ASSERT_EQ(keys({"add", elsewhere, "stranger", "--role", "viewer"}).code, 0);
+  serve(folder("server"));
+  const Said said = suture({"top", "--once"}, elsewhere + "/identities/stranger");
+  EXPECT_EQ(said.code, 3) << said.text;
+  EXPECT_THAT(said.text, HasSubstr("to the keys of \"stranger\""));
+  EXPECT_THAT(server_->read_until("CN=stranger"), HasSubstr("Certificate not valid"));
+}
+
+TEST_F(Refusals, ARevokedIdentityIsRefusedByWhoKnows) {
+  std::filesystem::copy(folder("viewer"), folder_.path("stolen"));
+  EXPECT_EQ(keys({"revoke", site_, "viewer"}).code, 0);
+  const Said own = suture({"top", "--once"}, folder("viewer"));
+  EXPECT_EQ(own.code, 6) << own.text;
+  EXPECT_THAT(own.text, HasSubstr("is revoked"));
+  serve(folder("server"));
+  EXPECT_EQ(suture({"top", "--once"}, folder_.path("stolen")).code, 3);
+  EXPECT_THAT(server_->read_until("CN=viewer"), HasSubstr("revoked"));
+  EXPECT_THAT(keys({"list", site_}).text, HasSubstr("revoked"));
+}
+
+TEST_F(Refusals, AnUnsecuredServerIsNamedSo) {
+  serve("off");
+  const Said said = suture({"top", "--once"}, folder("viewer"));
+  EXPECT_EQ(said.code, 6) << said.text;
+  EXPECT_THAT(said.text, HasSubstr("is not secured"));
+}
+
+TEST_F(Refusals, ASecuredServerDoesNotAnswerTheUnsecured) {
+  serve(folder("server"));
+  const Said said = suture({"top", "--once"}, "off");
+  EXPECT_EQ(said.code, 3) << said.text;
+  EXPECT_THAT(said.text, HasSubstr("answers only with --security"));
+}
+
+TEST_F(Refusals, TheEnvironmentDoesWhatTheOptionDoes) {
+  setenv("SUTURE_SECURITY", folder("nobody").c_str(), 1);
+  const Said said = run({SUTURE_CLI, "top", "--once"});
+  unsetenv("SUTURE_SECURITY");
+  EXPECT_EQ(said.code, 6) << said.text;
+  EXPECT_THAT(said.text, HasSubstr("there is no folder of keys"));
+}
+
+TEST_F(Refusals, TheDoctorTellsOfKeysThatEndSoon) {
+  add("short", {"--role", "viewer", "--days", "3"});
+  const auto doctor = [&](const std::string& name) {
+    return run({SUTURE_CLI, "doctor", "--no-network", "--seconds", "0.2", "--security",
+                folder(name)})
+        .text;
+  };
+  EXPECT_THAT(doctor("short"), HasSubstr("suture keys renew SITE short"));
+  EXPECT_THAT(doctor("viewer"), HasSubstr("keys of \"viewer\" hold until"));
+}
+
+}  // namespace
+}  // namespace sutured
