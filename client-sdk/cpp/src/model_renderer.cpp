@@ -55,6 +55,14 @@ Wrench to_hand(const v1::Mapping& mapping, const Hand& hand, const Wrench& world
           scaled(mapping.force_scale / mapping.motion_scale, rotated(back, world.torque_nm))};
 }
 
+Wrench times(const Wrench& wrench, double factor) noexcept {
+  return {scaled(factor, wrench.force_n), scaled(factor, wrench.torque_nm)};
+}
+
+bool is_zero(const Wrench& wrench) noexcept {
+  return wrench.force_n == Vector3{} && wrench.torque_nm == Vector3{};
+}
+
 bool is_rotation(const double (&q)[4]) noexcept {
   const double squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
   return std::abs(squared - 1.0) < 1e-3;
@@ -221,13 +229,31 @@ Wrench ModelRenderer::model_wrench(std::int64_t now_ns) noexcept {
   };
   if (!models_.pending()) return blend_.apply(evaluate_front(), now_ns);
   const Wrench shown = blend_.apply(evaluate_front(), now_ns);
+  const bool felt = models_.front().arrived_ns != 0 && gain_.gain() > 0.0;
   const std::uint64_t epoch = models_.front().model.epoch, before = models_.front().model.sequence;
   models_.update();
   const ReceivedModel& front = models_.front();
+  // What was felt of the old world goes to zero as it was: the new one may push harder.
+  if (felt && front.model.epoch != epoch && !old_world_)
+    old_world_ = FeltWorld{last_, gain_.gain()};
   const Wrench next = evaluate_front();
-  const bool changed = front.model.epoch != epoch || front.model.changed_sequence > before;
+  if (old_world_) return next;
+  const bool changed = front.model.changed_sequence > before;
   blend_.swap(shown, next, now_ns, changed ? front.ramp_ns : front.blend_ns);
   return blend_.apply(next, now_ns);
+}
+
+// What the hand is to feel under `gain`, within the limits, in its own frame. The limits stand
+// before the gain, or a force far beyond them would stay at them for most of a ramp; and after
+// it, because they stand last.
+Wrench ModelRenderer::wanted(const Wrench& world, double gain, bool& limited) const noexcept {
+  const ReceivedModel& current = models_.front();
+  if (old_world_)
+    return limit_magnitude(times(old_world_->shown, gain / old_world_->gain), current.limits,
+                           limited);
+  const Wrench hand =
+      limit_magnitude(to_hand(current.mapping, hand_, world), current.limits, limited);
+  return limit_magnitude(times(hand, gain), current.limits, limited);
 }
 
 double ModelRenderer::ceiling(bool allowed, std::int64_t now_ns) noexcept {
@@ -259,8 +285,13 @@ Force ModelRenderer::render(const Hand& hand, std::int64_t taken_ns, const Force
            (server.state == ForceState::kRendering || server.state == ForceState::kRamping ||
             server.state == ForceState::kServerSilent);
   };
+  const bool at_zero = gain_.phase() == 0.0 && is_zero(last_);
+  if (at_zero) {
+    old_world_.reset();
+    blend_.clear();
+  }
   // A hand that is not to be followed is frozen until the force is at zero.
-  if (gain_.phase() == 0.0 || (allowed_ && permitted(models_.front()))) hand_ = previous_;
+  if (at_zero || (allowed_ && permitted(models_.front()))) hand_ = previous_;
   Force force = server;
   force.force_n = force.torque_nm = {};
   const Wrench world = model_wrench(now_ns);
@@ -268,7 +299,7 @@ Force ModelRenderer::render(const Hand& hand, std::int64_t taken_ns, const Force
   if (current.arrived_ns == 0) return force;
 
   // What has begun to fade fades to the end.
-  const bool allowed = permitted(current) && (allowed_ || gain_.phase() == 0.0);
+  const bool allowed = permitted(current) && !old_world_ && (allowed_ || at_zero);
   const double top = ceiling(allowed, now_ns);
   if (allowed && !allowed_) energy_.restart();
   allowed_ = allowed;
@@ -280,15 +311,7 @@ Force ModelRenderer::render(const Hand& hand, std::int64_t taken_ns, const Force
   }
   bool limited = false;
   bool slewed = false;
-  // Before the gain, or a force far beyond the limit would stay at it for most of a ramp; and
-  // after it, because the limits stand last.
-  Wrench wanted = limit_magnitude(to_hand(current.mapping, hand_, world), current.limits, limited);
-  for (std::size_t i = 0; i < 3; ++i) {
-    wanted.force_n[i] *= gain;
-    wanted.torque_nm[i] *= gain;
-  }
-  wanted = limit_magnitude(wanted, current.limits, limited);
-  last_ = limit_slew(wanted, last_, elapsed_ns, current.limits, slewed);
+  last_ = limit_slew(wanted(world, gain, limited), last_, elapsed_ns, current.limits, slewed);
   force.force_n = last_.force_n;
   force.torque_nm = last_.torque_nm;
 
@@ -318,6 +341,8 @@ Force ModelRenderer::render(const Hand& hand, std::int64_t taken_ns, const Force
   } else if (stop) {
     force.state = ForceState::kStopped;
     force.faults |= suture_v1_FAULT_STOPPED;
+  } else if (old_world_ && server.state == ForceState::kRendering) {
+    force.state = ForceState::kRamping;
   } else if (latched_ != 0 &&
              (server.state == ForceState::kRendering || server.state == ForceState::kRamping)) {
     force.state = ForceState::kFault;

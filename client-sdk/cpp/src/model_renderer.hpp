@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cstdint>
+#include <optional>
 
 #include "other_tools.hpp"
 #include "protocol/energy_observer.hpp"
@@ -48,7 +49,8 @@ struct ReceivedModel {
 /// seen here: a hand that is no pose, jumps or stays away, the device's stop, energy that
 /// nobody put in. A fault is not left to the server's word, which may be a network away or
 /// gone. While the gain falls the hand's pose is frozen; after a fault it takes 20 ms of good
-/// hands to rise.
+/// hands to rise. Where the world was reset or replaced (another epoch), what was felt goes to
+/// zero as it was; only then does the new world's force begin.
 ///
 /// Threads: `receive` on one, `render` and the rest on one. Allocates: nothing.
 class ModelRenderer {
@@ -86,6 +88,7 @@ class ModelRenderer {
 
   void heed(const Hand& hand, std::int64_t taken_ns) noexcept;
   [[nodiscard]] Wrench model_wrench(std::int64_t now_ns) noexcept;
+  [[nodiscard]] Wrench wanted(const Wrench& world, double gain, bool& limited) const noexcept;
   [[nodiscard]] double ceiling(bool allowed, std::int64_t now_ns) noexcept;
 
   DeviceLimits device_;
@@ -105,6 +108,11 @@ class ModelRenderer {
   std::int64_t good_ns_ = 0, good_since_ns_ = 0;
   std::uint32_t latched_ = 0, ongoing_ = 0;
   std::uint64_t last_fallbacks_ = 0;
+  struct FeltWorld {
+    Wrench shown;       // at the hand
+    double gain = 1.0;  // of it
+  };
+  std::optional<FeltWorld> old_world_;  // what fades, of a world that is gone
   bool allowed_ = false;
   double phase_at_fade_ = 0.0;
   std::int64_t fade_since_ns_ = 0;

@@ -487,6 +487,82 @@ TEST_F(ModelRendererTest, TakesLongerOverAChangeOfTheWorldThanOverASwap) {
   EXPECT_LE(largest_step_n(true, true, 0.5), 0.5 * 1.5 / 30.0 + 1e-9);
 }
 
+/// The world is reset or replaced, and pushes harder, from elsewhere.
+class AnotherWorld : public ModelRendererTest {
+ protected:
+  void replace_world() {
+    wire_ = spring_model(200.0);
+    wire_.epoch = 2;
+    wire_.bilateral_wrench[1] = wire_.wrench[1] = 2.0;
+  }
+};
+
+TEST_F(AnotherWorld, IsFeltOnceTheOldOneHasFadedAsItWas) {
+  double last = -settle(hand_at(0.01)).force_n[0];
+  replace_world();
+  Force force;
+  for (int i = 0; i < 31; ++i) {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    ++wire_.sequence_number;
+    force = render(hand_at(0.01), rendering(), now_ns_);
+    EXPECT_LE(-force.force_n[0], last + 1e-12) << i;
+    EXPECT_LE(last + force.force_n[0], 1.5 / 30.0 + 1e-9) << i;
+    EXPECT_EQ(force.force_n[1], 0.0) << i;
+    last = -force.force_n[0];
+  }
+  EXPECT_EQ(last, 0.0);
+  EXPECT_EQ(force.state, ForceState::kRamping);
+  for (int i = 0; i < 250; ++i) {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    force = render(hand_at(0.01), rendering(), now_ns_);
+    EXPECT_LE(std::abs(last + force.force_n[0]), 2.0 * 1.5 / 200.0 + 1e-9) << i;
+    last = -force.force_n[0];
+  }
+  EXPECT_NEAR(force.force_n[0], -2.0, 1e-9);
+  EXPECT_NEAR(force.force_n[1], 2.0, 1e-9);
+  EXPECT_EQ(force.state, ForceState::kRendering);
+}
+
+/// What was on its way to the hand, held up by the slew, is of the old world too.
+TEST_F(AnotherWorld, LetsNothingMoreOfTheOldOneReachTheHand) {
+  wire_.max_force_slew_n_per_s = 100.0;
+  double last = -settle(hand_at(0.001)).force_n[0];
+  for (int i = 1; i <= 8; ++i) {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    last = -render(hand_at(0.001 + 0.002 * i), rendering(), now_ns_).force_n[0];
+  }
+  ASSERT_NEAR(last, 0.9, 1e-9) << "of 1.7 N";
+  replace_world();
+  wire_.max_force_slew_n_per_s = 100.0;
+  for (int i = 0; i < 31; ++i) {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    const Force force = render(hand_at(0.017), rendering(), now_ns_);
+    const double now = std::hypot(force.force_n[0], force.force_n[1]);
+    EXPECT_LE(now, last + 1e-12) << i;
+    EXPECT_LE(last - now, 0.1 + 1e-9) << i;
+    last = now;
+  }
+  EXPECT_EQ(last, 0.0);
+}
+
+/// Its mapping and its limits are its own: nothing of them reaches what fades.
+TEST_F(AnotherWorld, MapsOnlyItsOwnForces) {
+  const double felt = -settle(hand_at(0.01)).force_n[0];
+  replace_world();
+  wire_.mapping.force_scale = 5.0;
+  wire_.max_force_slew_n_per_s = 100.0;
+  double last = felt;
+  int ticks = 0;
+  while (last > 0.0 && ++ticks < 60) {
+    renderer_.receive(wire_, now_ns_ += kMs);
+    const double now = -render(hand_at(0.01), rendering(), now_ns_).force_n[0];
+    ASSERT_LE(now, last + 1e-12);
+    ASSERT_LE(last - now, 0.1 + 1e-9);
+    last = now;
+  }
+  EXPECT_LE(ticks, 35);
+}
+
 TEST_F(ModelRendererTest, NeitherAllocatesNorLocks) {
   if (!sutured::testing::HeapGuard::active()) GTEST_SKIP() << "sanitizers bring their own malloc";
   settle(hand_at(0.01));
