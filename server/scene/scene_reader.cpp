@@ -14,6 +14,7 @@
 
 #include "geometry/mesh_reader.hpp"
 #include "geometry/regular_file.hpp"
+#include "scene/physical_ranges.hpp"
 #include "scene/tissue_binder.hpp"
 #include "scene/toml_table.hpp"
 
@@ -22,6 +23,7 @@ namespace sutured::scene {
 namespace {
 
 constexpr std::uint64_t kSceneBytesMax = 1 << 20;
+constexpr std::size_t kToolsMax = 8;  // a model knows one tool and kModelOthersMax others
 
 // A tissue longer than this in metres was most likely written in another unit.
 constexpr double kPlausibleLengthMin_m = 1e-3;
@@ -45,7 +47,7 @@ class SceneBuilder {
     TableReader table(root, "the scene", faults_);
     scene_.name = table.text("name", std::filesystem::path(scene_.path).stem().string());
     scene_.rate_hz = table.number("rate_hz", scene_.rate_hz, {.low = 30.0, .high = 1000.0});
-    scene_.gravity_m_per_s2 = table.vector("gravity_m_per_s2").value_or(Vec3::Zero());
+    scene_.gravity_m_per_s2 = table.vector("gravity_m_per_s2", kGravity).value_or(Vec3::Zero());
     // The binders refer to the tissues: these must not move.
     if (const auto* tissues = root.get_as<toml::array>("tissue"))
       scene_.tissues.reserve(tissues->size());
@@ -53,6 +55,11 @@ class SceneBuilder {
     for_each_table(table, "needle", [&](TableReader& reader) { read_needle(reader); });
     for_each_table(table, "thread", [&](TableReader& reader) { read_thread(reader); });
     for_each_table(table, "tool", [&](TableReader& reader) { read_tool(reader); });
+    if (scene_.tools.size() > kToolsMax)
+      faults_.add((*root.get_as<toml::array>("tool"))[kToolsMax].source(),
+                  "the scene has " + std::to_string(scene_.tools.size()) + " tools and may have " +
+                      std::to_string(kToolsMax),
+                  "leave some out: a hand feels up to seven other tools through the tissue");
     for_each_table(table, "wound", [&](TableReader& reader) { read_wound(reader); });
     read_contact(table);
     table.finish();
@@ -107,20 +114,20 @@ class SceneBuilder {
     Tissue tissue;
     tissue.name = read_name(table, scene_.tissues);
     const std::string mesh = table.required_text("mesh");
-    tissue.scale = table.number("scale", 1.0, kPositive);
+    tissue.scale = table.number("scale", 1.0, kScale);
     const std::vector<std::string> volumes = table.texts("volumes");
-    tissue.young_modulus_pa = table.required_number("young_modulus_pa", kPositive);
+    tissue.young_modulus_pa = table.required_number("young_modulus_pa", kModulus);
     if (!table.has("poisson_ratio")) table.required_number("poisson_ratio", kPoissonRatio);
     tissue.poisson_ratio = table.number("poisson_ratio", 0.45, kPoissonRatio);
     tissue.density_kg_per_m3 =
-        table.number("density_kg_per_m3", tissue.density_kg_per_m3, kPositive);
-    tissue.puncture_force_n = table.number("puncture_force_n", tissue.puncture_force_n, kPositive);
+        table.number("density_kg_per_m3", tissue.density_kg_per_m3, kDensity);
+    tissue.puncture_force_n = table.number("puncture_force_n", tissue.puncture_force_n, kForce);
     tissue.friction_n_s_per_m2 =
-        table.number("friction_n_s_per_m2", tissue.friction_n_s_per_m2, kNotNegative);
+        table.number("friction_n_s_per_m2", tissue.friction_n_s_per_m2, kFriction);
     tissue.static_friction_n_per_m =
-        table.number("static_friction_n_per_m", tissue.static_friction_n_per_m, kNotNegative);
+        table.number("static_friction_n_per_m", tissue.static_friction_n_per_m, kFriction);
     tissue.surface_friction_coefficient = table.number(
-        "surface_friction_coefficient", tissue.surface_friction_coefficient, kNotNegative);
+        "surface_friction_coefficient", tissue.surface_friction_coefficient, kFrictionCoefficient);
     if (!mesh.empty()) read_mesh_of(tissue, mesh, volumes, table);
     const bool has_mesh = !tissue.mesh.tets.empty();
     scene_.tissues.push_back(std::move(tissue));
@@ -161,6 +168,14 @@ class SceneBuilder {
     Eigen::AlignedBox3d box;
     for (const Vec3& x : tissue.mesh.vertices_m) box.extend(x);
     const double length_m = box.sizes().maxCoeff();
+    if (!kBodyLength.holds(length_m)) {
+      table.fault(
+          "scale",
+          table.title() + " is " + std::to_string(length_m) + " m long and must be " +
+              kBodyLength.text(),
+          "scale is in metres per unit of the mesh; `sutured check " + mesh + "` lists the units");
+      return;
+    }
     if (length_m < kPlausibleLengthMin_m || length_m > kPlausibleLengthMax_m) {
       constexpr double kUsualLength_m = 0.05;
       // The unit that would bring a body of unknown scale nearest to five centimetres, the size of
@@ -186,10 +201,10 @@ class SceneBuilder {
     needle.shape = static_cast<NeedleShape>(table.choice("shape", 1, kShapes));
     needle.slide = static_cast<SlideRule>(table.choice("slide", 0, kSlides));
     const bool arc = needle.shape == NeedleShape::kArc;
-    needle.radius_m = table.number("radius_m", needle.radius_m, kPositive);
+    needle.radius_m = table.number("radius_m", needle.radius_m, kLength);
     needle.arc_deg =
         table.number("arc_deg", needle.arc_deg, {.low = 0.0, .high = 350.0, .low_open = true});
-    needle.length_m = table.number("length_m", needle.length_m, kPositive);
+    needle.length_m = table.number("length_m", needle.length_m, kLength);
     for (const char* key : {"radius_m", "arc_deg", "length_m"}) {
       const bool of_straight = key == std::string_view("length_m");
       if (table.has(key) && of_straight == arc)
@@ -198,7 +213,7 @@ class SceneBuilder {
                     arc ? "an arc has radius_m and arc_deg" : "a straight needle has length_m");
     }
     if (arc) needle.length_m = needle.radius_m * needle.arc_deg * std::numbers::pi / 180.0;
-    needle.diameter_m = table.number("diameter_m", needle.diameter_m, kPositive);
+    needle.diameter_m = table.number("diameter_m", needle.diameter_m, kLength);
     if (needle.diameter_m > 0.5 * (arc ? needle.radius_m : needle.length_m))
       table.fault("diameter_m", table.title() + " is thicker than it is long",
                   "lengths are in metres: 0.0006 is 0.6 mm");
@@ -213,10 +228,10 @@ class SceneBuilder {
     static const std::array<std::string, 2> kEnds{"held", "none"};
     static const std::array<std::string, 2> kHeads{"swaged", "free"};
     static const std::array<std::string, 2> kModels{"outside", "path"};
-    thread.length_m = table.number("length_m", thread.length_m, kPositive);
-    thread.diameter_m = table.number("diameter_m", thread.diameter_m, kPositive);
-    thread.tension_max_n = table.number("tension_max_n", thread.tension_max_n, kPositive);
-    thread.tail_length_m = table.number("tail_length_m", thread.tail_length_m, kNotNegative);
+    thread.length_m = table.number("length_m", thread.length_m, kLength);
+    thread.diameter_m = table.number("diameter_m", thread.diameter_m, kLength);
+    thread.tension_max_n = table.number("tension_max_n", thread.tension_max_n, kForce);
+    thread.tail_length_m = table.number("tail_length_m", thread.tail_length_m, kLengthOrNone);
     thread.tail = static_cast<ThreadTail>(table.choice("tail", 0, kTails));
     thread.ends = static_cast<ThreadEnds>(table.choice("ends", 0, kEnds));
     thread.head = static_cast<ThreadHead>(table.choice("head", 0, kHeads));
@@ -393,7 +408,7 @@ class SceneBuilder {
       const toml::array* pair = row.as_array();
       const auto at = [&](std::size_t i) { return (*pair)[i].value<double>().value_or(-1.0); };
       const bool legal = pair != nullptr && pair->size() == 2 && std::isfinite(at(0)) &&
-                         at(0) >= 0.0 && std::isfinite(at(1)) && at(1) > 0.0;
+                         at(0) >= 0.0 && kLength.holds(at(1));
       const bool later =
           !legal || thread.length_program.empty() || at(0) > thread.length_program.back().time_s;
       if (!legal || !later) {
@@ -413,20 +428,20 @@ class SceneBuilder {
     tool.name = read_name(table, scene_.tools);
     static const std::array<std::string, 2> kKinds{"driver", "probe"};
     tool.kind = static_cast<ToolKind>(table.choice("kind", 0, kKinds));
-    const auto positive = [&](const char* key, double& value) {
-      value = table.number(key, value, kPositive);
+    const auto take = [&](const char* key, double& value, const Range& range) {
+      value = table.number(key, value, range);
     };
-    positive("capture_radius_m", tool.capture_radius_m);
-    positive("probe_radius_m", tool.probe_radius_m);
-    positive("max_force_n", tool.max_force_n);
-    positive("max_torque_nm", tool.max_torque_nm);
-    positive("max_force_slew_n_per_s", tool.max_force_slew_n_per_s);
-    positive("max_torque_slew_nm_per_s", tool.max_torque_slew_nm_per_s);
-    positive("grip_stiffness_n_per_m", tool.grip_stiffness_n_per_m);
-    positive("grip_stiffness_nm_per_rad", tool.grip_stiffness_nm_per_rad);
-    positive("grip_force_max_n", tool.grip_force_max_n);
-    positive("grip_torque_max_nm", tool.grip_torque_max_nm);
-    positive("max_speed_m_per_s", tool.max_speed_m_per_s);
+    take("capture_radius_m", tool.capture_radius_m, kLength);
+    take("probe_radius_m", tool.probe_radius_m, kLength);
+    take("max_force_n", tool.max_force_n, kForce);
+    take("max_torque_nm", tool.max_torque_nm, kTorque);
+    take("max_force_slew_n_per_s", tool.max_force_slew_n_per_s, kSlew);
+    take("max_torque_slew_nm_per_s", tool.max_torque_slew_nm_per_s, kSlew);
+    take("grip_stiffness_n_per_m", tool.grip_stiffness_n_per_m, kStiffness);
+    take("grip_stiffness_nm_per_rad", tool.grip_stiffness_nm_per_rad, kStiffness);
+    take("grip_force_max_n", tool.grip_force_max_n, kForce);
+    take("grip_torque_max_nm", tool.grip_torque_max_nm, kTorque);
+    take("max_speed_m_per_s", tool.max_speed_m_per_s, kSpeed);
     tool.stale_after_ms = table.number(
         "stale_after_ms", tool.stale_after_ms,
         {.low = 1.0,
@@ -437,8 +452,8 @@ class SceneBuilder {
       TableReader reader(*inner, "workspace of " + table.title(), faults_);
       Workspace& workspace = tool.workspace;
       workspace.pose = reader.pose("pose");
-      workspace.motion_scale = reader.number("motion_scale", workspace.motion_scale, kPositive);
-      workspace.force_scale = reader.number("force_scale", workspace.force_scale, kPositive);
+      workspace.motion_scale = reader.number("motion_scale", workspace.motion_scale, kRatio);
+      workspace.force_scale = reader.number("force_scale", workspace.force_scale, kRatio);
       workspace.clutch_button = reader.integer("clutch_button", workspace.clutch_button, -1, 31);
       reader.finish();
     }

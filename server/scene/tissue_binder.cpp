@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "geometry/closest_point.hpp"
+#include "scene/physical_ranges.hpp"
 #include "scene/rigid_motions.hpp"
 
 namespace sutured::scene {
@@ -168,7 +169,7 @@ void TissueBinder::bind_prescribed(TableReader& table) {
     TableReader reader(*item.as_table(), "an entry of prescribed of " + title_, faults_);
     Prescribed prescribed;
     prescribed.vertices = selected_vertices(reader);
-    prescribed.displacement_m = reader.required_vector("displacement_m");
+    prescribed.displacement_m = reader.required_vector("displacement_m", kPlace);
     const std::string axes = reader.text("axes", "xyz");
     prescribed.axes = {false, false, false};
     bool known = !axes.empty();
@@ -345,8 +346,8 @@ std::optional<NodalLoad> TissueBinder::read_load(TableReader& reader) {
   const int dimension = reader.integer("dimension", -1, 0, 3);
   const auto point = reader.vector("point_m");
   const int node = reader.integer("vertex", 0, 0, std::numeric_limits<int>::max());
-  const double pressure_pa = reader.number("pressure_pa", 0.0, kAnyNumber);
-  const auto force = reader.vector("force_n");
+  const double pressure_pa = reader.number("pressure_pa", 0.0, kPressure);
+  const auto force = reader.vector("force_n", kLoad);
   reader.finish();
   const int places = static_cast<int>(reader.has("group")) +
                      static_cast<int>(reader.has("point_m")) +
@@ -411,7 +412,7 @@ void TissueBinder::bind_regions(TableReader& table) {
     TableReader reader(*item.as_table(), "an entry of regions of " + title_, faults_);
     Region region;
     region.group = reader.required_text("group");
-    region.young_modulus_pa = reader.required_number("young_modulus_pa", kPositive);
+    region.young_modulus_pa = reader.required_number("young_modulus_pa", kModulus);
     region.poisson_ratio = reader.number("poisson_ratio", tissue_.poisson_ratio, kPoissonRatio);
     reader.finish();
     if (region.group.empty()) continue;
@@ -454,6 +455,15 @@ void TissueBinder::check_components(TableReader& table) {
     return;  // what follows would tell of each splinter
   }
   if (faults_.size() > faults_before_) return;  // what should hold it may be among the faults
+  std::set<std::int32_t> held;
+  for (const Prescribed& entry : tissue_.prescribed)
+    held.insert(entry.vertices.begin(), entry.vertices.end());
+  if (held.size() == tissue_.mesh.vertices_m.size()) {
+    table.fault(table.has("fixed") ? "fixed" : "prescribed",
+                "every vertex of " + title_ + " is held: nothing of it can move or be felt",
+                "fix less of it");
+    return;
+  }
   for (const LooseComponent& loose :
        loose_components(tissue_.mesh, components, adjacency_, tissue_.prescribed)) {
     const std::string part = components.count == 1

@@ -7,6 +7,8 @@
 #include <numeric>
 #include <tuple>
 
+#include "scene/physical_ranges.hpp"
+
 namespace sutured::scene {
 
 namespace {
@@ -49,7 +51,6 @@ std::vector<SceneFault> Faults::sorted() const {
 std::string Range::text() const {
   const bool has_low = std::isfinite(low);
   const bool has_high = std::isfinite(high);
-  if (has_low && low == 0.0 && !has_high) return low_open ? "positive" : "zero or more";
   std::string text;
   if (has_low) text += (low_open ? "above " : "at least ") + number_text(low);
   if (has_low && has_high) text += " and ";
@@ -180,15 +181,23 @@ std::optional<std::vector<double>> TableReader::numbers(std::string_view key, st
   return values;
 }
 
-std::optional<Vec3> TableReader::vector(std::string_view key) {
+std::optional<Vec3> TableReader::vector(std::string_view key, const Range& range) {
   const auto values = numbers(key, 3, "three finite numbers [x, y, z]");
   if (!values) return std::nullopt;
+  for (const double x : *values) {
+    if (range.holds(x)) continue;
+    fault(key,
+          std::string(key) + " of " + title_ + " holds " + number_text(x) + " and each must be " +
+              range.text(),
+          range.mend);
+    return std::nullopt;
+  }
   return Vec3((*values)[0], (*values)[1], (*values)[2]);
 }
 
-Vec3 TableReader::required_vector(std::string_view key) {
+Vec3 TableReader::required_vector(std::string_view key, const Range& range) {
   if (!has(key)) missing(key);
-  return vector(key).value_or(Vec3::Zero());
+  return vector(key, range).value_or(Vec3::Zero());
 }
 
 Pose TableReader::pose(std::string_view key) {
@@ -196,7 +205,7 @@ Pose TableReader::pose(std::string_view key) {
   const toml::table* inner = table(key);
   if (inner == nullptr) return pose;
   TableReader reader(*inner, std::string(key) + " of " + title_, faults_);
-  pose.position_m = reader.vector("position_m").value_or(Vec3::Zero());
+  pose.position_m = reader.vector("position_m", kPlace).value_or(Vec3::Zero());
   const auto q =
       reader.numbers("orientation", 4, "a quaternion of four finite numbers [x, y, z, w]");
   if (q) {

@@ -55,8 +55,6 @@ struct Range {
   [[nodiscard]] std::string text() const;
 };
 
-inline constexpr Range kPositive{.low = 0.0, .low_open = true};
-inline constexpr Range kNotNegative{.low = 0.0};
 inline constexpr Range kAnyNumber{};
 
 /// Returns the candidate closest to `word` as ", did you mean "x"?", or "" where none is close.
@@ -90,8 +88,9 @@ class TableReader {
   /// One of `words`; returns its index.
   std::size_t choice(std::string_view key, std::size_t fallback,
                      std::span<const std::string> words);
-  std::optional<Vec3> vector(std::string_view key);  ///< nullopt: missing or faulty
-  Vec3 required_vector(std::string_view key);
+  /// Each component within `range`; nullopt: missing or faulty.
+  std::optional<Vec3> vector(std::string_view key, const Range& range = kAnyNumber);
+  Vec3 required_vector(std::string_view key, const Range& range = kAnyNumber);
   Pose pose(std::string_view key);
   /// A table's own table; nullptr: missing or faulty.
   const toml::table* table(std::string_view key);

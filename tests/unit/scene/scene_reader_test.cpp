@@ -306,7 +306,8 @@ TEST_F(SceneReader, NamesThePlaceAndTheMendOfEveryFault) {
       {"a = [1,\n", "s.toml:"},
       {"a = \n", "s.toml:9:"},
       {"density_kg_per_m3 = -1\n",
-       "s.toml:9:21: density_kg_per_m3 of [[tissue]] \"flap\" is -1 and must be positive; write"},
+       "s.toml:9:21: density_kg_per_m3 of [[tissue]] \"flap\" is -1 and must be at least 1 "
+       "and at most 100000; kilograms"},
       {"density_kg_per_m3 = nan\n",
        "s.toml:9:21: density_kg_per_m3 of [[tissue]] \"flap\" is nan and must be a finite number"},
       {"density_kg_per_m3 = inf\n",
@@ -372,12 +373,13 @@ TEST_F(SceneReader, NamesThePlaceAndTheMendOfEveryFault) {
        "s.toml:11:8: kind of [[tool]] \"d\" is \"knife\", which is not known; write \"driver\" or "
        "\"probe\""},
       {tool + "max_force_n = 0\n",
-       "s.toml:11:15: max_force_n of [[tool]] \"d\" is 0 and must be positive"},
+       "s.toml:11:15: max_force_n of [[tool]] \"d\" is 0 and must be above 0 and at most "
+       "10000; newtons"},
       {tool + "stale_after_ms = 500\n",
        "s.toml:11:18: stale_after_ms of [[tool]] \"d\" is 500 and must be at least 1 and at most "
        "100; 15 suits"},
       {tool + "[tool.workspace]\nmotion_scale = 0\n",
-       "s.toml:12:16: motion_scale of workspace of [[tool]] \"d\" is 0 and must be positive"},
+       "s.toml:12:16: motion_scale of workspace of [[tool]] \"d\" is 0 and must be above 0"},
       {tool + "[tool.workspace]\nforce_scale = -2\n",
        "s.toml:12:15: force_scale of workspace of [[tool]] \"d\" is -2"},
       {tool + "[tool.workspace]\nclutch_button = 99\n",
@@ -402,7 +404,7 @@ TEST_F(SceneReader, NamesThePlaceAndTheMendOfEveryFault) {
        "you mean \"needle\"?"},
       {"[[thread]]\nname = \"t\"\n", "s.toml:9:1: [[thread]] \"t\" has no needle"},
       {thread + "length_m = 0\n",
-       "s.toml:14:12: length_m of [[thread]] \"t\" is 0 and must be positive"},
+       "s.toml:14:12: length_m of [[thread]] \"t\" is 0 and must be above 0"},
       {thread + "punctures = [{ tissue = \"flop\", point_m = [0, 0, 0] }]\n",
        "s.toml:14:25: a puncture of [[thread]] \"t\" is in tissue \"flop\", which is not in the "
        "scene, did you mean \"flap\"?"},
@@ -464,7 +466,7 @@ TEST_F(SceneReader, RefusesAnIncompressibleTissue) {
                "young_modulus_pa = 0\npoisson_ratio = 0.5\nfixed = [\"foot\"]\n"),
       ::testing::AllOf(
           HasSubstr(
-              "s.toml:5:20: young_modulus_pa of [[tissue]] \"flap\" is 0 and must be positive"),
+              "s.toml:5:20: young_modulus_pa of [[tissue]] \"flap\" is 0 and must be at least 1"),
           HasSubstr(
               "s.toml:6:17: poisson_ratio of [[tissue]] \"flap\" is 0.5 and must be at least 0 "
               "and below 0.5; 0.45 to 0.49 is soft tissue; at 0.5 it is incompressible")));
@@ -541,6 +543,64 @@ TEST_F(SceneReader, DoubtsAnImplausibleUnit) {
       "[[tissue]]\nname = \"flap\"\nmesh = \"a.msh\"\nyoung_modulus_pa = 1e5\n"
       "poisson_ratio = 0.4\nfixed = [\"foot\"]\n");
   EXPECT_THAT(scene.notes, Contains(HasSubstr("is the unit right?")));
+}
+
+// Finite, and yet a slip of the unit or of the exponent: each with its place and the unit.
+TEST_F(SceneReader, RefusesNumbersThatNoBodyHas) {
+  const auto tissue = [](const std::string& scale, const std::string& modulus) {
+    return "name = \"test\"\n[[tissue]]\nname = \"flap\"\nmesh = \"a.msh\"\nscale = " + scale +
+           "\nyoung_modulus_pa = " + modulus + "\npoisson_ratio = 0.45\n" + kFixed;
+  };
+  EXPECT_EQ(error_of(tissue("0.01", "1e300")),
+            "s.toml:6:20: young_modulus_pa of [[tissue]] \"flap\" is 1e+300 and must be at least 1 "
+            "and at most 1e+13; pascals: soft tissue has 1e3 to 1e7, steel 2e11");
+  EXPECT_EQ(error_of(tissue("1e30", "2e5")),
+            "s.toml:5:9: scale of [[tissue]] \"flap\" is 1e+30 and must be at least 1e-09 and at "
+            "most 1000; metres per unit of the mesh: 0.001 for millimetres");
+  EXPECT_EQ(error_of(tissue("1e-300", "2e5")).substr(0, 12), "s.toml:5:9: ");
+  EXPECT_THAT(error_of(tissue("1000", "2e5")),
+              StartsWith("s.toml:5:9: [[tissue]] \"flap\" is 1000"));
+  EXPECT_THAT(error_of(tissue("1e-5", "2e5")),
+              StartsWith("s.toml:5:9: [[tissue]] \"flap\" is 0.0000"));
+  struct Absurd {
+    std::string lines, place, mend;
+  };
+  const std::string tool = "[[tool]]\nname = \"d\"\n", needle = "[[needle]]\nname = \"n\"\n";
+  for (const Absurd& absurd : std::vector<Absurd>{
+           {"density_kg_per_m3 = 1e200\n", "s.toml:9:21: ", "kilograms per cubic metre"},
+           {"puncture_force_n = 1e99\n", "s.toml:9:20: ", "newtons"},
+           {"friction_n_s_per_m2 = 1e99\n", "s.toml:9:23: ", "per metre of embedded needle"},
+           {"load = [{ point_m = [0.01, 0.01, 0.01], force_n = [0, 1e99, 0] }]\n",
+            "s.toml:9:51: ", "newtons"},
+           {"regions = [{ group = \"left\", young_modulus_pa = 1e99 }]\n",
+            "s.toml:9:49: ", "pascals"},
+           {needle + "radius_m = 1e30\n", "s.toml:11:12: ", "metres"},
+           {needle + "pose = { position_m = [0, 1e30, 0] }\n", "s.toml:11:23: ", "metres"},
+           {tool + "max_force_n = 1e30\n", "s.toml:11:15: ", "newtons"},
+           {tool + "max_torque_slew_nm_per_s = 1e30\n", "s.toml:11:28: ", "a second"},
+           {tool + "grip_stiffness_n_per_m = 1e30\n", "s.toml:11:26: ", "firm grip"},
+           {tool + "workspace = { motion_scale = 1e30 }\n", "s.toml:11:30: ", "a factor"},
+       }) {
+    const std::string text = error_in_tissue(absurd.lines);
+    EXPECT_THAT(text, StartsWith(absurd.place)) << absurd.lines;
+    EXPECT_THAT(text, HasSubstr(absurd.mend)) << absurd.lines;
+  }
+  EXPECT_THAT(error_of("gravity_m_per_s2 = [0, 0, -1e99]\n" + std::string(kTissue) + kFixed),
+              HasSubstr("holds -1e+99 and each must be at least -1000 and at most 1000"));
+}
+
+TEST_F(SceneReader, RefusesATissueOfWhichNothingCanMove) {
+  EXPECT_THAT(error_of(std::string(kTissue) +
+                       "fixed = [{ box = { min_m = [-1, -1, -1], max_m = [1, 1, 1] } }]\n"),
+              StartsWith("s.toml:8:9: every vertex of tissue \"flap\" is held"));
+}
+
+TEST_F(SceneReader, RefusesMoreToolsThanAHandCanFeel) {
+  std::string tools;
+  for (int i = 0; i < 8; ++i) tools += "[[tool]]\nname = \"t" + std::to_string(i) + "\"\n";
+  EXPECT_EQ(error_in_scene(tools), "");
+  EXPECT_THAT(error_in_scene(tools + "[[tool]]\nname = \"t8\"\n"),
+              StartsWith("s.toml:25:1: the scene has 9 tools and may have 8; leave some out"));
 }
 
 TEST_F(SceneReader, RefusesWhatIsNotAFileWithoutWaiting) {
