@@ -166,6 +166,12 @@ Surgeon parse_surgeon(std::string_view text, const std::string& name) {
   Surgeon surgeon;
   bool header_seen = false;
   Place place{name, 0};
+  constexpr std::string_view kByteOrderMark = "\xEF\xBB\xBF";
+  if (text.starts_with(kByteOrderMark)) {
+    place.line = 1;
+    place.fail(1, "the file begins with a byte order mark",
+               "save it as UTF-8 without one (a spreadsheet calls that plain CSV)");
+  }
   while (!text.empty()) {
     ++place.line;
     const std::size_t length = std::min(text.find('\n'), text.size());

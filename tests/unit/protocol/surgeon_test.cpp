@@ -109,6 +109,16 @@ TEST(Surgeon, WantsItsHeader) {
   }
 }
 
+TEST(Surgeon, NamesAByteOrderMark) {
+  try {
+    static_cast<void>(parse_surgeon("\xEF\xBB\xBF" + kHeader + "0,a,0,0,0,0,0,0,1,0\n", "s.csv"));
+    FAIL() << "no error";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("s.csv:1:1: the file begins with a byte order mark"));
+    EXPECT_THAT(error.mend(), HasSubstr("UTF-8 without one"));
+  }
+}
+
 TEST(Surgeon, NamesAFileThatCannotBeRead) {
   try {
     static_cast<void>(read_surgeon("/no/such/file.csv"));
