@@ -21,6 +21,16 @@ double seconds_in(const std::string& text) {
   return whole ? seconds : std::numeric_limits<double>::quiet_NaN();
 }
 
+void expect_tool(Session& session, const std::string& tool) {
+  std::string known;
+  for (const ToolStatus& there : session.status().tools) {
+    if (there.tool == tool) return;
+    known += (known.empty() ? "" : ", ") + there.tool;
+  }
+  throw Error(ErrorCode::kUnknownTool, "the scene has no tool \"" + tool + "\"",
+              known.empty() ? "" : "it has " + known);
+}
+
 }  // namespace
 
 int run_command(const CommandArguments& arguments) {
@@ -59,11 +69,15 @@ int run_command(const CommandArguments& arguments) {
     default:
       break;
   }
+  if (!arguments.tool.empty() && kind != CommandKind::kReleaseTool)
+    throw Error(ErrorCode::kBadInput, arguments.kind + " is for all tools, and takes no --tool",
+                "leave it out");
   if (!arguments.value.empty() && details.checkpoint.empty() && details.seconds == 0.0)
     throw Error(ErrorCode::kBadInput,
                 arguments.kind + " takes no value, and \"" + arguments.value + "\" is one",
                 "leave it out");
   Session session(options);
+  if (kind == CommandKind::kReleaseTool) expect_tool(session, arguments.tool);
   const std::string text = session.command(kind, details);
   std::printf("%s\n", text.empty() ? "done" : text.c_str());
   return kDone;

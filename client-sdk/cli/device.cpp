@@ -366,12 +366,6 @@ class Player {
     options.limits = {.max_force_n = arguments.max_force_n,
                       .max_force_slew_n_per_s = arguments.max_slew_n_per_s,
                       .max_stiffness_n_per_m = arguments.max_stiffness_n_per_m};
-    options.on_force = [this](const Force& force) {
-      if (renders_itself_) return;  // logged where it is rendered
-      if (const std::optional<double> time_s = sent_.time_of(force.hand_sequence)) {
-        log_.push(index_, {*time_s, hand_then(*time_s), force});
-      }
-    };
     device_.emplace(std::move(options));
     outcome_.tool = track.tool;
     outcome_.max_force_n = device_->max_force_n();
@@ -392,6 +386,7 @@ class Player {
     thread_ = std::thread([this, &together, printer, tools, at_end = std::move(at_end)] {
       try {
         play(together, printer, tools);
+        if (!together.over()) expect_server();
         if (at_end) at_end();
       } catch (...) {
         together.fail(track_.tool, std::current_exception());
@@ -422,22 +417,35 @@ class Player {
       outcome_.duration_s = time_s;
       if (together.over() || (!loops_ && time_s > track_.end_s())) return std::nullopt;
       if (printer != nullptr) printer->show(index_, time_s, force);
-      if (renders_itself_ && sequence_ > 0) {
-        const double felt_s = sent_.time_of(sequence_).value_or(time_s);
-        log_.push(index_, {felt_s, hand_then(felt_s), force});
-        rendered_peak_n_ = std::max(rendered_peak_n_, length_of(force.force_n));
-      }
+      log(time_s, force);
       sent_.note(++sequence_, time_s);
       return hand_then(time_s);
     };
     device_->run(tick, rate_hz_);
   }
 
-  /// The answer to the last hand is on its way; then the tool goes back.
+  /// What the hand is given at this tick, with the pose that it is given for.
+  void log(double time_s, const Force& force) {
+    if (force.hand_sequence == 0) return;  // nothing has been answered yet
+    const std::uint64_t felt_for = renders_itself_ ? sequence_ : force.hand_sequence;
+    log_.push(index_, {time_s, hand_then(sent_.time_of(felt_for).value_or(time_s)), force});
+    felt_peak_n_ = std::max(felt_peak_n_, length_of(force.force_n));
+  }
+
+  /// Throws Error kNoServer where no force comes any more: the play has ended before the device
+  /// would have given up.
+  void expect_server() {
+    constexpr std::chrono::milliseconds kPatience(1000);
+    if (device_->read_after(sequence_, kPatience)) return;
+    // The last answer may be lost, but the server sends for a device that is silent.
+    if (device_->read().state != ForceState::kServerSilent) return;
+    throw Error(ErrorCode::kNoServer, "the server fell silent before the play was over",
+                "see whether it still runs (`suture top`)");
+  }
+
   void finish() {
-    static_cast<void>(device_->read_after(sequence_, std::chrono::milliseconds(100)));
     outcome_.counts = device_->statistics();
-    if (renders_itself_) outcome_.counts.peak_force_n = rendered_peak_n_;
+    outcome_.counts.peak_force_n = felt_peak_n_;
     device_.reset();
   }
 
@@ -449,7 +457,7 @@ class Player {
   ForceLog& log_;
   SentHands sent_;
   std::uint64_t sequence_ = 0;
-  double rendered_peak_n_ = 0.0;  // of what the device rendered itself
+  double felt_peak_n_ = 0.0;
   ToolOutcome outcome_;
   std::optional<Device> device_;  // after what its callback uses
   std::thread thread_;

@@ -15,10 +15,10 @@
 
 namespace suture::cli {
 
-/// A force with the hand that it answers.
+/// A force as the hand was given it.
 struct ForceRecord {
-  double time_s = 0.0;  ///< when the hand was sent, on the surgeon's clock
-  Hand hand;
+  double time_s = 0.0;  ///< of that tick, on the surgeon's clock
+  Hand hand;            ///< for which it was computed: a round trip before, or a tick
   Force force;
 };
 
@@ -45,8 +45,8 @@ class ForceTrace {
   std::size_t in_last_ = 0;
 };
 
-/// Takes the forces of several tools from the receive thread without ever holding it up, and
-/// writes them to one CSV file and a trace a tool, on a thread of its own.
+/// Takes the forces of several tools from their ticks without ever holding one up, and writes them
+/// to one CSV file and a trace a tool, on a thread of its own.
 ///
 /// Between the two is a ring a tool of 16384 records (16 s at 1 kHz); what does not fit is
 /// dropped and counted. `push` is for one thread a tool. Lines of one tool keep their order;

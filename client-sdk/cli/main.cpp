@@ -113,7 +113,8 @@ int run(int argc, char** argv) {
   device_command->add_option("--render", device.render, "who computes the force: server, or device")
       ->check(CLI::IsMember({"server", "device"}))
       ->capture_default_str();
-  device_command->add_option("--log", device.log, "write every force to this CSV file");
+  device_command->add_option("--log", device.log,
+                             "write what the hand is given, a line a tick, to this CSV file");
   device_command->add_option("--plot", device.plot, "write force over time to this SVG file");
   device_command->add_option("--summary", device.summary, "write the summary to this JSON file");
   device_command->add_option("--rate", device.rate_hz, "poses a second")

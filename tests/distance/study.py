@@ -110,17 +110,11 @@ def play(build, folder, options, surgeon, tool, renderer):
         end(hosts)
 
 
-def given(log, tool, renderer, times_s):
-    """The force that the hand is being given at each of these play times: the newest that has come."""
-    data = columns(log, ["time_s", *FORCE, "round_trip_us"], tool)
-    sent_s, force_n, round_trip_s = data[0], data[1:4], 1e-6 * data[4]
-    if renderer == "server":
-        came_s = sent_s + round_trip_s
-    else:  # rendered at the tick after the one that read the pose
-        came_s = np.append(sent_s[1:], sent_s[-1] + 1e-3)
-    order = np.argsort(came_s, kind="stable")
-    newest = np.searchsorted(came_s[order], times_s, side="right") - 1
-    felt_n = force_n[:, order[np.maximum(newest, 0)]]
+def given(log, tool, times_s):
+    """The force that the hand is being given at each of these play times: that of the last tick."""
+    data = columns(log, ["time_s", *FORCE], tool)
+    newest = np.searchsorted(data[0], times_s, side="right") - 1
+    felt_n = data[1:4][:, np.maximum(newest, 0)]
     felt_n[:, newest < 0] = 0.0
     return felt_n
 
@@ -155,7 +149,7 @@ def study(build, motion):
         for delay, options in cases():
             for renderer in RENDERERS:
                 summary, log = play(build, folder, options, surgeon, tool, renderer)
-                felt_n = given(log, tool, renderer, times_s)
+                felt_n = given(log, tool, times_s)
                 error = np.linalg.norm(felt_n - reference_n, axis=0)[window] / peak_n * 100.0
                 if delay == SHOWN_MS:
                     curves[renderer] = np.linalg.norm(felt_n, axis=0)

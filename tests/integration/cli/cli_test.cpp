@@ -185,12 +185,13 @@ TEST_F(Cli, DevicePlaysASurgeonFileAndLeavesLogPlotAndSummary) {
   EXPECT_EQ(driver["out_of_order"], 0);
   EXPECT_GT(driver["round_trip_us"]["p50"], 0.0);
 
-  // Each line of the log holds a pose of the file and the force that answers it.
+  // Each line of the log holds a tick: the force then, and the pose of the file that it answers.
   std::istringstream log(read("log.csv"));
   std::string line;
   std::getline(log, line);
   EXPECT_THAT(line, MatchesRegex("time_s,tool,hand_sequence,.*round_trip_us,model_age_us"));
   int lines = 0;
+  double last_s = -1.0;
   std::uint64_t last_sequence = 0;
   while (std::getline(log, line)) {
     ++lines;
@@ -199,13 +200,18 @@ TEST_F(Cli, DevicePlaysASurgeonFileAndLeavesLogPlotAndSummary) {
     EXPECT_EQ(fields[1], "driver");
     const double time_s = std::stod(fields[0]);
     const double x_m = std::stod(fields[6]);
-    EXPECT_NEAR(x_m, 0.04 * time_s, 1e-7);  // microseconds in the text
-    EXPECT_NEAR(std::stod(fields[14]), -100.0 * x_m, 1e-7);
+    EXPECT_LE(x_m, 0.04 * time_s + 1e-7);  // a round trip before; microseconds in the text
+    if (fields[4] == "rendering") {
+      EXPECT_NEAR(std::stod(fields[14]), -100.0 * x_m, 1e-7);
+    }
+    EXPECT_GT(time_s, last_s);
+    last_s = time_s;
     const std::uint64_t sequence = std::stoull(fields[2]);
-    EXPECT_GT(sequence, last_sequence);
+    EXPECT_GE(sequence, last_sequence);
     last_sequence = sequence;
   }
-  EXPECT_EQ(lines, driver["forces_received"]);
+  EXPECT_LT(lines, driver["poses_sent"]);
+  EXPECT_GE(lines, 300);
 
   const std::string plot = read("plot.svg");
   EXPECT_THAT(plot, HasSubstr("<svg"));
@@ -283,10 +289,11 @@ TEST_F(Cli, DevicePlaysEveryToolOfAFileOnOneClock) {
     ASSERT_EQ(fields.size(), 22U) << line;
     ++lines[fields[1]];
     const double speed_m_per_s = fields[1] == "driver" ? 0.04 : 0.02;
-    EXPECT_NEAR(std::stod(fields[6]), speed_m_per_s * std::stod(fields[0]), 1e-7);
+    EXPECT_LE(std::stod(fields[6]), speed_m_per_s * std::stod(fields[0]) + 1e-7);
   }
   for (const char* tool : {"driver", "assistant"}) {
-    EXPECT_EQ(lines[tool], summary["tools"][tool]["forces_received"]) << tool;
+    EXPECT_LT(lines[tool], summary["tools"][tool]["poses_sent"]) << tool;
+    EXPECT_GE(lines[tool], 200) << tool;
     EXPECT_THAT(read("plot.svg"), HasSubstr(std::string(">") + tool + "</text>"));
   }
 }
@@ -387,6 +394,37 @@ TEST_F(Cli, DeviceSaysWhenTheServerDies) {
   EXPECT_THAT(device.output(), HasSubstr("has not answered"));
 }
 
+/// The play is over before the device would have given up on its own.
+TEST_F(Cli, DeviceSaysWhenTheServerIsGoneAtTheEnd) {
+  const std::string hands = write("long.csv",
+                                  "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw\n"
+                                  "0,driver,0,0,0,0,0,0,1,1\n"
+                                  "2,driver,0.02,0,0,0,0,0,1,1\n");
+  for (const std::string render : {"server", "device"}) {
+    auto server = std::make_unique<SpringServer>(server_options());
+    Process device(
+        command({"device", "--surgeon", hands, "--render", render, "--log", path("log.csv")}));
+    device.read_until("poses sent");
+    EXPECT_EQ(device.wait(), 0) << device.output();
+
+    Process abandoned(
+        command({"device", "--surgeon", hands, "--render", render, "--log", path("log.csv")}));
+    abandoned.read_until("driver");
+    ASSERT_TRUE(eventually([&] { return server->last_pose().sequence_number > 500; }));
+    server.reset();
+    EXPECT_EQ(abandoned.wait(), 3) << abandoned.output();
+    EXPECT_THAT(abandoned.output(), HasSubstr("fell silent before the play was over"));
+    // What the hand was given: the fade, and nothing from then on.
+    std::istringstream log(read("log.csv"));
+    std::string line, last;
+    while (std::getline(log, line)) last = line;
+    const std::vector<std::string> fields = fields_of(last);
+    ASSERT_EQ(fields.size(), 22U) << last;
+    EXPECT_GT(std::stod(fields[0]), 1.9);
+    EXPECT_EQ(std::stod(fields[14]), 0.0);
+  }
+}
+
 TEST_F(Cli, TopPrintsATableOnce) {
   SpringServer server(server_options());
   Process top(command({"top", "--once"}));
@@ -403,6 +441,21 @@ TEST_F(Cli, CommandPrintsTheReply) {
   Process stop(command({"command", "stop"}));
   EXPECT_EQ(stop.wait(), 6);
   EXPECT_THAT(stop.output(), HasSubstr("springs do not stop"));
+  Process release(command({"command", "release", "--tool", "driver"}));
+  EXPECT_EQ(release.wait(), 0) << release.output();
+}
+
+TEST_F(Cli, CommandNamesAToolThatIsNotThereOrNotAskedFor) {
+  SpringServer server(server_options());
+  Process unknown(command({"command", "release", "--tool", "nobody"}));
+  EXPECT_EQ(unknown.wait(), 5);
+  EXPECT_THAT(unknown.output(), HasSubstr("the scene has no tool \"nobody\""));
+  EXPECT_THAT(unknown.output(), HasSubstr("it has driver"));
+  for (const char* what : {"stop", "pause", "resume", "reset", "checkpoint", "restore"}) {
+    Process refused(command({"command", what, "--tool", "driver"}));
+    EXPECT_EQ(refused.wait(), 2) << what;
+    EXPECT_THAT(refused.output(), HasSubstr("takes no --tool")) << what;
+  }
 }
 
 TEST_F(Cli, DoctorGradesEveryLineAndMeasuresTheRoundTrip) {
