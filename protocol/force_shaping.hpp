@@ -105,4 +105,23 @@ class RampedGain {
   double phase_ = 0.0;
 };
 
+/// A condition that ends only when it has not held for a while. One that holds every other moment,
+/// as the age of what comes just in time or just late, is one condition and not a hundred.
+class LastingCondition {
+ public:
+  explicit LastingCondition(std::int64_t quiet_ns) noexcept : quiet_ns_(quiet_ns) {}
+
+  /// Takes in whether it holds now, and returns whether it lasts.
+  bool update(bool holds, std::int64_t now_ns) noexcept {
+    if (holds) until_ns_ = now_ns + quiet_ns_;
+    return lasts_ = holds || now_ns < until_ns_;
+  }
+  /// As of the last update.
+  [[nodiscard]] bool lasts() const noexcept { return lasts_; }
+
+ private:
+  std::int64_t quiet_ns_, until_ns_ = 0;
+  bool lasts_ = false;
+};
+
 }  // namespace suture

@@ -37,9 +37,10 @@ double dual_norm(const Twist& g, double length_m) noexcept {
   return std::hypot(g[0], g[1], g[2]) + std::hypot(g[3], g[4], g[5]) / length_m;
 }
 
-/// Adds what the model's linear part leaves out: see ModelEvaluator::evaluate.
-void transport(const HapticModel& model, const Twist& xi, const Array3& bilateral_force_n,
-               Wrench& w) noexcept {
+/// Adds what the model's linear part leaves out: see ModelEvaluator::evaluate. Returns how far the
+/// needle slides by that, beside what `others` slide it.
+double transport(const HapticModel& model, const Twist& xi, const Array3& bilateral_force_n,
+                 Wrench& w) noexcept {
   const Array3 theta{xi[3], xi[4], xi[5]};
   const Array3 axis{model.slide_twist[0], model.slide_twist[1], model.slide_twist[2]};
   const Array3 spin{model.slide_twist[3], model.slide_twist[4], model.slide_twist[5]};
@@ -73,6 +74,7 @@ void transport(const HapticModel& model, const Twist& xi, const Array3& bilatera
   }
   const Array3 torque = arms(slide);
   for (int i = 0; i < 3; ++i) w.torque_nm[i] += torque[i];
+  return slide;
 }
 
 }  // namespace
@@ -110,9 +112,12 @@ void ModelEvaluator::restart() noexcept {
   factored_ = false;
   fresh_ = true;
   slip_ = {};
+  drag_ = {};
 }
 
 void ModelEvaluator::begin(const HapticModel& model) noexcept {
+  if (model.epoch != epoch_) drag_ = {};
+  drag_.fresh = true;
   epoch_ = model.epoch;
   sequence_ = model.sequence;
   factored_ = false;
@@ -306,8 +311,11 @@ bool ModelEvaluator::settle(const HapticModel& model) noexcept {
 }
 
 Wrench ModelEvaluator::evaluate(const HapticModel& model, const Pose& pose,
-                                std::span<const Pose> others) noexcept {
-  if (!model.touching) return {};
+                                std::span<const Pose> others, std::int64_t now_ns) noexcept {
+  if (!model.touching) {
+    drag_ = {};
+    return {};
+  }
   if (model.epoch != epoch_ || model.sequence != sequence_) begin(model);
   const Twist xi = motion_between(model.reference, pose);
   std::array<Twist, kModelOthersMax> motions;
@@ -336,8 +344,41 @@ Wrench ModelEvaluator::evaluate(const HapticModel& model, const Pose& pose,
     }
   }
 
-  transport(model, xi, bilateral_force, w);
+  double slide_m = transport(model, xi, bilateral_force, w);
+  for (std::size_t k = 0; k < count; ++k)
+    slide_m += dot(model.others[k].slide_gradient, motions[k]);
+  drag(model, slide_m, now_ns, w);
   return w;
+}
+
+// The viscous friction of a needle that slides: see `evaluate`.
+void ModelEvaluator::drag(const HapticModel& model, double slide_m, std::int64_t now_ns,
+                          Wrench& w) noexcept {
+  if (!(model.slide_stiffness > 0.0 && model.slide_drag_n_s_per_m > 0.0) || now_ns == kNoClock) {
+    drag_ = {};
+    return;
+  }
+  if (!drag_.slides) drag_.friction_n = model.slide_friction_n;
+  const double moved_m = drag_.fresh ? 0.0 : slide_m - drag_.slide_m;
+  const double elapsed_s =
+      drag_.slides ? 1e-9 * static_cast<double>(std::max<std::int64_t>(now_ns - drag_.at_ns, 0))
+                   : 0.0;
+  drag_.friction_n = (drag_.friction_n - model.slide_stiffness * moved_m) /
+                     (1.0 + model.slide_stiffness * elapsed_s / model.slide_drag_n_s_per_m);
+  drag_.slide_m = slide_m;
+  drag_.at_ns = now_ns;
+  drag_.slides = true;
+  drag_.fresh = false;
+  const double more_n = drag_.friction_n - model.slide_friction_n;
+  for (int i = 0; i < 3; ++i) {
+    w.force_n[i] += more_n * model.slide_gradient[i];
+    w.torque_nm[i] += more_n * model.slide_gradient[i + 3];
+  }
+  // It acts where the tissue is, which the needle leaves behind.
+  const auto& s = model.slide_twist;
+  const auto& g = model.slide_gradient;
+  const Array3 left_behind = cross({s[0], s[1], s[2]}, {g[0], g[1], g[2]});
+  for (int i = 0; i < 3; ++i) w.torque_nm[i] -= slide_m * more_n * left_behind[i];
 }
 
 Wrench evaluate(const HapticModel& model, const Pose& pose, std::span<const Pose> others) noexcept {

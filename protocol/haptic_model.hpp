@@ -57,6 +57,7 @@ struct ModelCoupling {
   std::int32_t tool = -1;              ///< the other one, in the numbering of who holds the model
   Pose reference;                      ///< its pose in the model's step
   std::array<double, 36> stiffness{};  ///< B: the other tool's towards this one is Bᵀ
+  Twist slide_gradient{};              ///< g': the needle slides by g'ᵀξ' more
   std::array<Twist, kModelRowsMax> jacobian{};  ///< a row each of the model's
 };
 
@@ -99,7 +100,9 @@ struct HapticModel {
   Twist slide_twist{};            ///< s, zero when nothing slides
   Twist slide_gradient{};         ///< g = A s / κ of the stiffness A before the slide's removal
   double slide_stiffness = 0.0;   ///< κ = sᵀ A s > 0; zero: nothing slides
-  double slide_friction_n = 0.0;  ///< axial force left along s
+  double slide_friction_n = 0.0;  ///< f: axial force left along s, at ξ = 0
+  /// c: the friction is viscous, f = −c dσ/dt; zero: f stays as it was in the step.
+  double slide_drag_n_s_per_m = 0.0;
 
   double characteristic_length_m = 0.01;  ///< ℓ of the norm max(|t|, ℓ|θ|)
   double radius_m = 0.0;  ///< of ξ in that norm, within which no row switches; may be +inf
@@ -158,14 +161,29 @@ class ModelEvaluator {
   ///
   ///     δσ = ((θ × s)·w + s_θ·Δτ) / κ,   Δw = −κ g δσ,   σ = gᵀξ + δσ
   ///
-  /// With both the model is exact to first order about any loaded reference. A
+  /// That is the slide which leaves the axial force where it was in the step. The friction is
+  /// viscous, though, f = −c dζ/dt for the slide ζ that there is, and what f differs by reaches
+  /// the hand as g (f − f_k). With f = f_k + κ (ζ − σ) and an implicit step over the time Δt since
+  /// the call before, that is, without knowing any velocity,
+  ///
+  ///     f ← (f − κ Δσ) / (1 + κ Δt / c)
+  ///
+  /// a spring κ in series with a damper c, both positive: no loop of the hand gains from it. f is
+  /// carried from one model to the next, as the needle's motion is.
+  ///
+  /// With all three the model is exact to first order about any loaded reference. A
   /// translation without slide adds nothing: origin and forces move together. Unilateral
   /// rows, which let their tangents go, keep the arms of the reference.
   ///
   /// `others[i]` is where the tool of `model.others[i]` is now; one that is not given counts as
   /// where it was in the model's step. A stale one holds its last pose.
+  ///
+  /// `now_ns` is any monotonic clock, for the friction of a needle that slides; where it is
+  /// kNoClock that stays as it was in the model's step.
   [[nodiscard]] Wrench evaluate(const HapticModel& model, const Pose& pose,
-                                std::span<const Pose> others = {}) noexcept;
+                                std::span<const Pose> others = {},
+                                std::int64_t now_ns = kNoClock) noexcept;
+  static constexpr std::int64_t kNoClock = INT64_MIN;
 
   /// Forgets the active set: the next call starts from its model's.
   void restart() noexcept;
@@ -190,6 +208,7 @@ class ModelEvaluator {
   int violations(const HapticModel& model) noexcept;
   void resolve(const HapticModel& model, const Twist& xi, std::span<const Twist> others) noexcept;
   bool settle(const HapticModel& model) noexcept;
+  void drag(const HapticModel& model, double slide_m, std::int64_t now_ns, Wrench& w) noexcept;
   void follow(const HapticModel& model) noexcept;
 
   std::uint64_t epoch_ = 0, sequence_ = 0;
@@ -204,6 +223,14 @@ class ModelEvaluator {
   std::array<double, kModelRowsMax> rhs_{}, lambda_{};   // q + Ĵ ξ, λ
   std::array<double, kModelRowsMax> lower_{}, upper_{};  // bounds of λ in this call
   std::array<double, kModelRowsMax> gap_{}, slip_{};     // gap, and how far q has slipped
+  struct Drag {
+    double friction_n = 0.0;  // f
+    double slide_m = 0.0;     // σ of the call before, of this model
+    std::int64_t at_ns = kNoClock;
+    bool slides = false;  // false: f is not known yet
+    bool fresh = true;    // no σ of this model yet
+  };
+  Drag drag_;
   // Column j of the Cholesky factor of S_FF starts at j · kModelRowsMax.
   std::array<double, kModelRowsMax * kModelRowsMax> factor_{};
 };

@@ -161,6 +161,11 @@ double couple_model(HapticModel& model, double max_stiffness_n_per_m) noexcept {
   Twist stiffness;
   diagonalise(stiffest, axes, stiffness);
   const double largest = *std::max_element(stiffness.begin(), stiffness.end());
+  // At a turn of the hand the friction of a needle is as stiff as the tissue that it drags along.
+  double dragged = 0.0;
+  for (int i = 0; i < 6; ++i)
+    dragged += model.slide_stiffness * std::pow(model.slide_gradient[i] * unit(i), 2);
+  if (largest + dragged > max_stiffness_n_per_m) model.slide_drag_n_s_per_m = 0.0;
   // A model that was coupled already is at the limit, but for rounding.
   if (!(largest > max_stiffness_n_per_m * (1.0 + 1e-9))) return largest;
 

@@ -41,8 +41,6 @@ static_assert(static_cast<int>(simulation::ThreadEnd::kSwaged) == suture_v1_END_
 static_assert(static_cast<int>(simulation::ThreadEnd::kHeld) == suture_v1_END_HELD);
 static_assert(static_cast<int>(simulation::ThreadEnd::kAnchored) == suture_v1_END_ANCHORED);
 
-constexpr std::int64_t kBlend_ns = 4'000'000;
-
 template <std::size_t N>
 void copy(const std::array<double, N>& from, double (&to)[N]) noexcept {
   std::copy(from.begin(), from.end(), to);
@@ -196,6 +194,7 @@ void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& pub
   copy(model.slide_gradient, wire.slide_gradient);
   wire.slide_stiffness = model.slide_stiffness;
   wire.slide_friction_n = model.slide_friction_n;
+  wire.slide_drag_n_s_per_m = model.slide_drag_n_s_per_m;
   copy(model.bilateral_wrench, wire.bilateral_wrench);
   copy(model.bilateral_stiffness, wire.bilateral_stiffness);
   const auto rows = static_cast<std::size_t>(model.rows);
@@ -217,6 +216,7 @@ void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& pub
     copy(from.reference.position_m, to.position_m);
     copy(from.reference.orientation_xyzw, to.orientation_xyzw);
     copy(from.stiffness, to.stiffness);
+    copy(from.slide_gradient, to.slide_gradient);
     lend(to.jacobian, from.jacobian[0].data(), rows * 6);
   }
   suture::lend(wire.others, std::span<const suture::v1::ToolCoupling>(couplings.data(), others));
@@ -229,7 +229,7 @@ void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& pub
   wire.max_torque_slew_nm_per_s = limits.max_torque_slew_nm_per_s;
   wire.stale_after_ns = model.stale_after_ns;
   wire.period_ns = model.period_ns;
-  wire.blend_ns = std::min(kBlend_ns, model.period_ns);
+  wire.blend_ns = std::min(haptics::kBlend_ns, model.period_ns);
   wire.ramp_ns = haptics::kFade_ns;
   copy(published.mapping.position_m(), wire.mapping.position_m);
   copy(published.mapping.orientation_xyzw(), wire.mapping.orientation_xyzw);

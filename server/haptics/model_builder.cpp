@@ -32,6 +32,7 @@ void set_others(suture::HapticModel& model, const simulation::ToolResponse& resp
     to.tool = from.tool;
     to.reference = pose_of(from.reference);
     set_matrix(to.stiffness, from.stiffness);
+    for (int j = 0; j < 6; ++j) to.slide_gradient[j] = from.slide_gradient[j];
     for (int i = 0; i < model.rows; ++i)
       for (int j = 0; j < 6; ++j) to.jacobian[i][j] = from.jacobian(i, j);
   }
@@ -65,6 +66,7 @@ void fill_model(const simulation::ToolResponse& response, suture::HapticModel& m
   }
   model.slide_stiffness = response.slide_stiffness;
   model.slide_friction_n = response.slide_friction_n;
+  model.slide_drag_n_s_per_m = response.slide_drag_n_s_per_m;
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) model.arm_moment_nm[3 * i + j] = response.arm_moment(i, j);
 

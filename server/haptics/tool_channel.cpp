@@ -23,8 +23,6 @@ constexpr std::int64_t kBurst_ns = 8 * kPosePeriodMin_ns;
 constexpr std::int64_t kRenderedStale_ns = 100 * kMillisecond_ns;
 // After a pause of the ticks themselves the force moves as if only so much time had gone.
 constexpr std::int64_t kSlewWindow_ns = 4 * kMillisecond_ns;
-constexpr std::int64_t kBlend_ns = 4 * kMillisecond_ns;
-constexpr std::int64_t kBlendOfChangedWorld_ns = 15 * kMillisecond_ns;
 
 void count(std::atomic<std::uint64_t>& counter) noexcept {
   counter.fetch_add(1, std::memory_order_relaxed);
@@ -44,7 +42,8 @@ bool finite(const suture::HapticModel& m) noexcept {
   bool good = finite(m.wrench) && finite(m.bilateral_wrench) && all_finite(m.stiffness) &&
               all_finite(m.bilateral_stiffness) && all_finite(m.arm_moment_nm) &&
               all_finite(m.slide_twist) && all_finite(m.slide_gradient) &&
-              std::isfinite(m.slide_stiffness) && all_finite(m.reference.position_m) &&
+              std::isfinite(m.slide_stiffness) && std::isfinite(m.slide_friction_n) &&
+              std::isfinite(m.slide_drag_n_s_per_m) && all_finite(m.reference.position_m) &&
               all_finite(m.reference.orientation_xyzw);
   const int packed = m.rows * (m.rows + 1) / 2;
   for (int i = 0; i < packed; ++i) good &= std::isfinite(m.compliance_m_per_n[i]);
@@ -54,7 +53,8 @@ bool finite(const suture::HapticModel& m) noexcept {
             std::isfinite(m.bound_slope[i]) && m.bound_row[i] >= 0 && m.bound_row[i] < m.rows;
   if (m.other_count < 0 || m.other_count > suture::kModelOthersMax) return false;
   for (int k = 0; k < m.other_count; ++k) {
-    good &= all_finite(m.others[k].stiffness) && all_finite(m.others[k].reference.position_m) &&
+    good &= all_finite(m.others[k].stiffness) && all_finite(m.others[k].slide_gradient) &&
+            all_finite(m.others[k].reference.position_m) &&
             all_finite(m.others[k].reference.orientation_xyzw);
     for (int i = 0; i < m.rows; ++i) good &= all_finite(m.others[k].jacobian[i]);
   }
@@ -99,7 +99,26 @@ ToolChannel::ToolChannel(const scene::Tool& tool, std::int64_t model_period_ns)
 
 // ------------------------------------------------------------------ receive thread
 
+// A device that was told to let go, and has not opened its jaw since.
+bool ToolChannel::stays_released(const PoseSample& sample, std::int64_t now_ns) noexcept {
+  const std::int64_t heard_ns =
+      std::max(released_heard_ns_, last_arrival_ns_.load(std::memory_order_relaxed));
+  const bool anew = sample.goodbye || now_ns - heard_ns > kLeaseSilence_ns;
+  const bool opens = released_jaw_closed_ && sample.jaw < kHalfClosed;
+  released_jaw_closed_ |= sample.jaw >= kHalfClosed;
+  released_heard_ns_ = now_ns;
+  if (!anew && !opens) return true;
+  released_.store(0, std::memory_order_release);
+  released_jaw_closed_ = false;
+  return false;
+}
+
 bool ToolChannel::admit(const PoseSample& sample, std::int64_t now_ns) noexcept {
+  if (sample.writer == released_.load(std::memory_order_acquire) &&
+      stays_released(sample, now_ns)) {
+    count(counters_.poses_dropped);
+    return false;
+  }
   std::uint64_t holder = lease_.load(std::memory_order_acquire);
   if (holder == 0 && !sample.goodbye &&
       lease_.compare_exchange_strong(holder, sample.writer, std::memory_order_acq_rel)) {
@@ -265,6 +284,14 @@ const ToolReport& ToolChannel::report() noexcept {
 void ToolChannel::end_lease(std::uint64_t writer) noexcept {
   if (writer != 0 && lease_.compare_exchange_strong(writer, 0, std::memory_order_acq_rel))
     count(counters_.returns);
+}
+
+bool ToolChannel::release() noexcept {
+  const std::uint64_t holder = lease();
+  if (holder == 0) return false;
+  released_.store(holder, std::memory_order_release);  // before its next pose finds the tool free
+  end_lease(holder);
+  return true;
 }
 
 // ------------------------------------------------------------------ holder of the token
@@ -433,7 +460,7 @@ void ToolChannel::leave_or_stay(std::int64_t now_ns) noexcept {
 }
 
 // What the model in force gives at the pose in force and at those of the other tools.
-suture::Wrench ToolChannel::evaluate_model() noexcept {
+suture::Wrench ToolChannel::evaluate_model(std::int64_t now_ns) noexcept {
   const suture::HapticModel& model = models_.front().model;
   std::array<suture::Pose, suture::kModelOthersMax> others;
   for (int k = 0; k < model.other_count; ++k) {
@@ -443,7 +470,7 @@ suture::Wrench ToolChannel::evaluate_model() noexcept {
     others[k] = now != nullptr ? *now : coupling.reference;
   }
   return evaluator_.evaluate(model, pose_,
-                             {others.data(), static_cast<std::size_t>(model.other_count)});
+                             {others.data(), static_cast<std::size_t>(model.other_count)}, now_ns);
 }
 
 // What the model gives at the pose in force, without a step where the model is new.
@@ -452,7 +479,7 @@ suture::Wrench ToolChannel::model_wrench(std::int64_t now_ns) noexcept {
   if (stage_ != Stage::kFading) old_world_.reset();
   const auto present = [&] {
     if (!renders || !has_model_) return suture::Wrench{};
-    return old_world_ ? *old_world_ : blend_.apply(evaluate_model(), now_ns);
+    return old_world_ ? old_world_->world : blend_.apply(evaluate_model(now_ns), now_ns);
   };
   if (!models_.pending()) return present();
   // The old model is asked once more, before its place goes back to the writer.
@@ -464,18 +491,17 @@ suture::Wrench ToolChannel::model_wrench(std::int64_t now_ns) noexcept {
   if (has_model_ && other_world) {
     // What was felt of the old one goes to zero as it was: the new one may push harder.
     begin_fading(now_ns);
-    old_world_ = shown;
+    if (gain_.gain() > 0.0 && !old_world_) old_world_ = OldWorld{shown, last_, gain_.gain()};
   }
   epoch_ = model.epoch;
   has_model_ = true;
   if (other_world) stay_where_placed();
   if (!renders) return {};
-  if (old_world_) return *old_world_;
-  const suture::Wrench next = evaluate_model();
+  if (old_world_) return old_world_->world;
+  const suture::Wrench next = evaluate_model(now_ns);
   const std::int64_t period_ns = std::max<std::int64_t>(model.period_ns, kMillisecond_ns);
-  blend_.swap(
-      shown, next, now_ns,
-      model.changed_sequence > before ? kBlendOfChangedWorld_ns : std::min(kBlend_ns, period_ns));
+  blend_.swap(shown, next, now_ns,
+              model.changed_sequence > before ? kFade_ns : std::min(kBlend_ns, period_ns));
   return blend_.apply(next, now_ns);
 }
 
@@ -516,6 +542,33 @@ void ToolChannel::observe_energy(const suture::Wrench& world, const suture::Wren
   begin_fading(now_ns);
 }
 
+// Of a device that has left no pose is missed.
+void ToolChannel::look_for_staleness(std::int64_t now_ns) noexcept {
+  const bool pose_stale = lease() == writer_ && now_ns - good_ns_ > pose_stale_after_ns();
+  const bool model_stale = has_model_ &&
+                           now_ns - models_.front().published_ns > model_stale_after_ns_ &&
+                           !paused_.load(std::memory_order_relaxed);
+  if (pose_stale) latched_ |= fault_bit(Fault::kPoseStale);
+  if (model_stale) latched_ |= fault_bit(Fault::kModelStale);
+  note_while(Fault::kPoseStale, pose_stale_.update(pose_stale, now_ns));
+  note_while(Fault::kModelStale, model_stale_.update(model_stale, now_ns));
+}
+
+// What the hand is to feel under `gain`, within the limits, in its own frame. The limits stand
+// before the gain, or a force far beyond them would stay at them for most of a ramp; and after
+// it, because they stand last.
+suture::Wrench ToolChannel::wanted(const suture::Wrench& world, double gain,
+                                   bool& limited) const noexcept {
+  const suture::ForceLimits limits = this->limits();
+  if (old_world_) {
+    return suture::limit_magnitude(scaled(old_world_->shown, gain / old_world_->gain), limits,
+                                   limited);
+  }
+  const suture::Wrench hand = suture::limit_magnitude(
+      frame_ == Frame::kDevice ? workspace_.to_device(world) : world, limits, limited);
+  return suture::limit_magnitude(scaled(hand, gain), limits, limited);
+}
+
 ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexcept {
   // Two threads may tick with times taken in the other order.
   now_ns = std::max(now_ns, rendered_ns_);
@@ -525,34 +578,21 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   leave_or_stay(now_ns);
   const suture::Wrench world = model_wrench(now_ns);
   const bool engaged = stage_ != Stage::kIdle;
-  if (engaged && has_previous_) {
-    const bool pose_stale = now_ns - good_ns_ > pose_stale_after_ns();
-    const bool model_stale = has_model_ &&
-                             now_ns - models_.front().published_ns > model_stale_after_ns_ &&
-                             !paused_.load(std::memory_order_relaxed);
-    note_while(Fault::kPoseStale, pose_stale);
-    note_while(Fault::kModelStale, model_stale);
-    if (pose_stale) latched_ |= fault_bit(Fault::kPoseStale);
-    if (model_stale) latched_ |= fault_bit(Fault::kModelStale);
-  }
+  if (engaged && has_previous_) look_for_staleness(now_ns);
   note_while(Fault::kModelPivots, evaluator_.fallbacks() != last_fallbacks_);
   last_fallbacks_ = evaluator_.fallbacks();
 
   const double gain = gain_.update(ceiling(now_ns), elapsed_ns);
   // A fade begins at full gain: that is no recovery.
-  if (latched_ != 0 && stage_ == Stage::kRendering && gain_.phase() >= 1.0) {
+  if (latched_ != 0 && stage_ == Stage::kRendering && gain_.phase() >= 1.0 &&
+      !pose_stale_.lasts() && !model_stale_.lasts()) {
     latched_ = 0;
     count(counters_.recoveries);
   }
   const suture::Wrench felt = scaled(world, gain);
   const suture::ForceLimits limits = this->limits();
   bool too_strong = false, too_fast = false;
-  // Before the gain, or a force far beyond the limit would stay at it for most of a ramp;
-  // and after it, because the limits stand last.
-  const suture::Wrench hand = suture::limit_magnitude(
-      frame_ == Frame::kDevice ? workspace_.to_device(world) : world, limits, too_strong);
-  const suture::Wrench wanted = suture::limit_magnitude(scaled(hand, gain), limits, too_strong);
-  last_ = suture::limit_slew(wanted, last_, elapsed_ns, limits, too_fast);
+  last_ = suture::limit_slew(wanted(world, gain, too_strong), last_, elapsed_ns, limits, too_fast);
 
   rendered_.update();
   const Rendered& rendered = rendered_.front();

@@ -52,7 +52,8 @@ namespace sutured::haptics {
 inline constexpr std::int64_t kMillisecond_ns = 1'000'000;
 
 inline constexpr std::int64_t kTakeover_ns = 3 * kMillisecond_ns;
-inline constexpr std::int64_t kFade_ns = 30 * kMillisecond_ns;       ///< of a latched fault
+inline constexpr std::int64_t kBlend_ns = 4 * kMillisecond_ns;  ///< of a swap of models
+inline constexpr std::int64_t kFade_ns = 30 * kMillisecond_ns;  ///< of a fault, a change of world
 inline constexpr std::int64_t kRecovery_ns = 200 * kMillisecond_ns;  ///< zero to full gain
 inline constexpr std::int64_t kSettle_ns = 20 * kMillisecond_ns;     ///< of good poses
 inline constexpr std::int64_t kLeaseSilence_ns = 2'000 * kMillisecond_ns;
@@ -259,8 +260,12 @@ class ToolChannel {
   /// thread.
   void set_device_limits(const DeviceLimits& device) noexcept;
 
-  /// Ends the lease if `writer` holds it: it left, or was told to.
+  /// Ends the lease if `writer` holds it: it left.
   void end_lease(std::uint64_t writer) noexcept;
+  /// Takes the tool from whoever holds it. That device gets it back once its jaw has opened (was
+  /// closed and is open), or when it has been silent for as long as ends a lease; any other
+  /// device may have it at once. False where nobody holds it.
+  bool release() noexcept;
   /// Returns who holds the lease, 0 for nobody.
   [[nodiscard]] std::uint64_t lease() const noexcept {
     return lease_.load(std::memory_order_acquire);
@@ -300,6 +305,7 @@ class ToolChannel {
 
   // Receive thread only.
   bool admit(const PoseSample& sample, std::int64_t now_ns) noexcept;
+  bool stays_released(const PoseSample& sample, std::int64_t now_ns) noexcept;
 
   // Holder of the token only.
   ForceSample serve(const PoseSample& sample, std::int64_t now_ns) noexcept;
@@ -311,7 +317,9 @@ class ToolChannel {
   void leave_or_stay(std::int64_t now_ns) noexcept;
   ForceSample render(std::int64_t now_ns, bool from_supervisor) noexcept;
   suture::Wrench model_wrench(std::int64_t now_ns) noexcept;
-  suture::Wrench evaluate_model() noexcept;
+  suture::Wrench wanted(const suture::Wrench& world, double gain, bool& limited) const noexcept;
+  void look_for_staleness(std::int64_t now_ns) noexcept;
+  suture::Wrench evaluate_model(std::int64_t now_ns) noexcept;
   double ceiling(std::int64_t now_ns) noexcept;
   void observe_energy(const suture::Wrench& world, const suture::Wrench& shown, std::int64_t now_ns,
                       std::int64_t elapsed_ns) noexcept;
@@ -334,6 +342,7 @@ class ToolChannel {
   std::atomic<bool> held_{false};
   std::atomic<bool> stopped_{false}, paused_{false}, silent_{true};
   std::atomic<std::uint64_t> lease_{0};
+  std::atomic<std::uint64_t> released_{0};  // the writer that was told to let go
   std::atomic<std::int64_t> last_arrival_ns_{0};
   std::atomic<std::int64_t> model_age_max_ns_{0};
   // Each by itself: a tick may see one changed and the next not yet; slew takes what steps.
@@ -359,7 +368,9 @@ class ToolChannel {
   std::uint64_t admitted_writer_ = 0, admitted_sequence_ = 0;
   std::int64_t due_ns_ = 0;
   bool was_refused_ = false;
-  std::uint32_t rendered_faults_ = 0;  // the device's last
+  bool released_jaw_closed_ = false;    // since its device was told to let go
+  std::int64_t released_heard_ns_ = 0;  // when that device last sent a pose
+  std::uint32_t rendered_faults_ = 0;   // the device's last
 
   // Holder of the token only.
   Workspace workspace_;
@@ -386,9 +397,15 @@ class ToolChannel {
   std::int64_t rendered_ns_ = 0;
   std::uint64_t epoch_ = 0;
   bool has_model_ = false;
-  std::optional<suture::Wrench> old_world_;  // what fades, of a world that is gone
-  std::uint32_t latched_ = 0;                // faults since the last recovery
-  std::uint32_t ongoing_ = 0;                // conditions that hold now
+  struct OldWorld {
+    suture::Wrench world;  // of its model
+    suture::Wrench shown;  // at the hand
+    double gain = 1.0;     // of it
+  };
+  std::optional<OldWorld> old_world_;  // what fades, of a world that is gone
+  suture::LastingCondition pose_stale_{kRecovery_ns}, model_stale_{kRecovery_ns};
+  std::uint32_t latched_ = 0;  // faults since the last recovery
+  std::uint32_t ongoing_ = 0;  // conditions that hold now
   std::uint64_t sequence_ = 0;
   std::uint64_t last_fallbacks_ = 0;
   suture::Wrench last_;  // at the hand

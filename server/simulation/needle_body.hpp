@@ -87,6 +87,10 @@ class NeedleBody {
   [[nodiscard]] bool slides_freely() const {
     return held_ && !least_squares() && path_.embedded_length_m() > 0.0;
   }
+  /// c L (N·s/m): friction against the slide's speed, as of this step; 0 where it is not viscous.
+  [[nodiscard]] double slide_drag_n_s_per_m() const {
+    return slides_freely() ? embedded_friction_ : 0.0;
+  }
   [[nodiscard]] bool least_squares() const {
     return description_.slide == scene::SlideRule::kLeastSquares;
   }

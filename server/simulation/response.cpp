@@ -2,6 +2,7 @@
 #include "simulation/response.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 #include "constraints/blas.hpp"
@@ -246,7 +247,7 @@ void ResponseBuilder::build(int tool, ToolResponse& response) {
   response.world_changed = body.world_changed();
   response.slide_twist.setZero();
   response.slide_gradient.setZero();
-  response.slide_friction_n = response.slide_stiffness = 0.0;
+  response.slide_friction_n = response.slide_stiffness = response.slide_drag_n_s_per_m = 0.0;
   response.stiffness.setZero();
   response.bilateral_stiffness.setZero();
   response.bilateral_wrench = response.wrench;
@@ -286,9 +287,11 @@ void ResponseBuilder::build(int tool, ToolResponse& response) {
   };
   take(own, response.bilateral_stiffness, problem.jacobian);
   for (int f = 0; 6 * f < columns_; ++f) {
-    if (6 * f == own || response.other_count == ToolResponse::kOthersMax) continue;
+    if (6 * f == own) continue;
+    assert(response.other_count < ToolResponse::kOthersMax);  // a scene has no more tools
     ToolCoupling& other = response.others[at(response.other_count++)];
     other.tool = felt_[at(f)];
+    other.slide_gradient.setZero();
     other.reference = tools_[at(other.tool)].input();
     take(6 * f, other.stiffness, other.jacobian);
   }
@@ -302,7 +305,14 @@ void ResponseBuilder::build(int tool, ToolResponse& response) {
     response.slide_twist.tail<3>() = twist.tail<3>();
     response.slide_twist.head<3>() = twist.head<3>() + Vec3(twist.tail<3>()).cross(arm);
     for (int c = 0; c < 6; ++c) response.slide_gradient[c] = slide.gradient[at(own + c)];
+    for (int k = 0, f = 0; 6 * f < columns_; ++f) {
+      if (6 * f == own) continue;
+      for (int c = 0; c < 6; ++c)
+        response.others[at(k)].slide_gradient[c] = slide.gradient[at(6 * f + c)];
+      ++k;
+    }
     response.slide_stiffness = slide.stiffness;
+    response.slide_drag_n_s_per_m = needle.slide_drag_n_s_per_m();
     for (int i = 0; i < rows_->size(); ++i)
       if ((*rows_)[i].needle == slide.needle)
         response.slide_friction_n += (*rows_)[i].slide * lambda_[at(i)];

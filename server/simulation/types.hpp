@@ -63,6 +63,7 @@ struct ToolCoupling {
   int tool = -1;        ///< index of the other one
   ToolInput reference;  ///< its pose in this step
   Mat6 stiffness = Mat6::Zero();
+  Vec6 slide_gradient = Vec6::Zero();  ///< of the needle that the tool itself holds
   Eigen::Matrix<double, Eigen::Dynamic, 6, Eigen::ColMajor, CondensedProblem::kRowsMax, 6> jacobian;
 };
 
@@ -84,6 +85,7 @@ struct ToolResponse {
   std::array<ToolCoupling, kOthersMax> others;  ///< tools that are felt through tissue or needle
   Vec6 slide_twist = Vec6::Zero();              ///< s, unit slide of the needle held; zero if none
   double slide_friction_n = 0.0;                ///< f along s
+  double slide_drag_n_s_per_m = 0.0;            ///< c, f = −c dσ/dt; zero: not viscous
   Vec6 slide_gradient =
       Vec6::Zero();              ///< g = A s / κ of A before the slide's removal: P = I − s gᵀ
   double slide_stiffness = 0.0;  ///< κ = sᵀ A s of the same; zero: nothing slides

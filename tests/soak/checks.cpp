@@ -36,9 +36,9 @@ std::optional<std::string> fault_of_response(const scene::Tool& tool, const Tool
   if (!r.wrench.allFinite() || !r.stiffness.allFinite() || !r.bilateral_wrench.allFinite() ||
       !r.bilateral_stiffness.allFinite() || !r.slide_twist.allFinite() ||
       !r.slide_gradient.allFinite() || !r.arm_moment.allFinite() ||
-      !std::isfinite(r.slide_friction_n) || !std::isfinite(r.slide_stiffness) ||
-      !c.compliance_m_per_n.allFinite() || !c.jacobian.allFinite() || !c.offset_m.allFinite() ||
-      !c.multiplier_n.allFinite())
+      !std::isfinite(r.slide_friction_n) || !std::isfinite(r.slide_drag_n_s_per_m) ||
+      !std::isfinite(r.slide_stiffness) || !c.compliance_m_per_n.allFinite() ||
+      !c.jacobian.allFinite() || !c.offset_m.allFinite() || !c.multiplier_n.allFinite())
     return "the response of " + tool.name + " is not finite";
   for (Eigen::Index i = 0; i < c.multiplier_n.size(); ++i)
     if (!(c.multiplier_n[i] >= 0.0) ||
@@ -205,6 +205,7 @@ std::uint64_t hash_of(const Simulation& sim, std::uint64_t hash) {
     h.add(r.condensed.bound_slope);
     h.add(r.slide_twist);
     h.add(r.slide_friction_n);
+    h.add(r.slide_drag_n_s_per_m);
     h.add(r.slide_gradient);
     h.add(r.slide_stiffness);
     h.add(r.arm_moment);

@@ -232,11 +232,12 @@ FidelityResult measure_fidelity(const FidelityMotion& motion, const FidelityOpti
   Vec6 last_truth = Vec6::Zero(), last_shown = Vec6::Zero();
   std::int64_t blend_end_ns = -1;
   OtherPoses others;
-  const auto evaluate = [&] {
+  const auto evaluate = [&](std::int64_t now_ns) {
     const suture::HapticModel& model = used->model;
     return evaluator.evaluate(
         model, pose_of(hands.inputs[tool]),
-        options.couple_tools ? others.of(model, hands.inputs) : std::span<const suture::Pose>());
+        options.couple_tools ? others.of(model, hands.inputs) : std::span<const suture::Pose>(),
+        now_ns);
   };
   const int ticks = static_cast<int>(std::lround(motion.duration_s / kTick_s));
   for (int k = 0; k <= ticks; ++k) {
@@ -250,13 +251,14 @@ FidelityResult measure_fidelity(const FidelityMotion& motion, const FidelityOpti
     result.frozen_rows_max = std::max(result.frozen_rows_max, response.condensed.frozen_rows);
 
     if (k % options.model_period_ms == 0) {
-      const suture::Wrench old = swaps >= 2 ? blend.apply(evaluate(), now_ns) : suture::Wrench{};
+      const suture::Wrench old =
+          swaps >= 2 ? blend.apply(evaluate(now_ns), now_ns) : suture::Wrench{};
       std::swap(before, used);
       std::swap(used, newest);
       take(response, k, *newest);
       ++swaps;
       if (swaps >= 3) {
-        const suture::Wrench next = evaluate();
+        const suture::Wrench next = evaluate(now_ns);
         blend.swap(old, next, now_ns, kBlend_ns);
         blend_end_ns = now_ns + kBlend_ns;
         result.swap_jump_n =
@@ -264,7 +266,7 @@ FidelityResult measure_fidelity(const FidelityMotion& motion, const FidelityOpti
       }
     }
     if (swaps < 2) continue;
-    const Vec6 shown = vector_of(blend.apply(evaluate(), now_ns));
+    const Vec6 shown = vector_of(blend.apply(evaluate(now_ns), now_ns));
     if (swaps < 3) {
       last_truth = truth;
       last_shown = shown;
@@ -323,9 +325,9 @@ FidelityError measure_total_error(const FidelityMotion& motion, const FidelityRe
       ++next;
     if (next >= reference.samples.size() || k < reference.samples[0].time_s / kTick_s - 0.5)
       continue;
-    error.add(
-        vector_of(evaluator.evaluate(used->model, pose_of(at[tool]), others.of(used->model, at))) -
-        reference.samples[next].truth);
+    error.add(vector_of(evaluator.evaluate(used->model, pose_of(at[tool]),
+                                           others.of(used->model, at), k * kTick_ns)) -
+              reference.samples[next].truth);
   }
   return error.over(reference.peak_force_n, reference.peak_torque_nm);
 }

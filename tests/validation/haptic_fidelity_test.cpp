@@ -123,23 +123,20 @@ TEST(HapticFidelity, OfANeedleInTissueIsWithinOnePercentOfAResolve) {
   EXPECT_EQ(evaluator.fallbacks(), 0U);
 }
 
-/// The motions of `make fidelity`, without leaving anything out. What
-/// docs/results/haptic-fidelity.md shows to miss its budget is held to be far better than the last
-/// force.
-TEST(HapticFidelity, OfEachMotionIsWithinItsBudgetOrSaidToMissIt) {
+/// The motions of `make fidelity`, without leaving anything out.
+TEST(HapticFidelity, OfEachMotionIsWithinItsBudget) {
   for (const testing::FidelityMotion& motion : testing::fidelity_motions()) {
     SCOPED_TRACE(motion.name);
     const testing::FidelityResult result = testing::measure_fidelity(motion);
     ASSERT_GT(result.samples.size(), 1500U);
+    std::printf("%-10s model RMS %.2f %%  max %.2f %%  torque RMS %.2f %%\n", motion.name.c_str(),
+                result.model.rms_pct, result.model.max_pct, result.model.torque_rms_pct);
     EXPECT_LT(result.model.rms_pct, 0.5 * result.held.rms_pct) << "a held force must be far worse";
     EXPECT_LE(result.swap_step_n, std::max(0.02 * result.peak_force_n, 0.01));
-    if (motion.name == "sideways" || motion.name == "two_hands") {
+    if (motion.name == "needle" || motion.name == "sideways" || motion.name == "two_hands") {
       EXPECT_LE(result.model.rms_pct, 1.0);
       EXPECT_LE(result.model.max_pct, 3.0);
       EXPECT_LE(result.model.torque_rms_pct, 2.0);
-    }
-    if (motion.name == "needle") {
-      EXPECT_LE(result.model.max_pct, 3.0);
     }
     if (motion.name == "tip") {
       EXPECT_LE(result.model.rms_pct, 4.0);

@@ -120,6 +120,7 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
   copy(wire.slide_gradient, model.slide_gradient);
   model.slide_stiffness = wire.slide_stiffness;
   model.slide_friction_n = wire.slide_friction_n;
+  model.slide_drag_n_s_per_m = wire.slide_drag_n_s_per_m;
   model.characteristic_length_m = wire.norm_length_m;
   model.radius_m = wire.radius_m;
   model.touching = (wire.flags & suture_v1_MODEL_TOUCHING) != 0;
@@ -148,6 +149,7 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
     copy(from.position_m, model.others[k].reference.position_m);
     copy(from.orientation_xyzw, model.others[k].reference.orientation_xyzw);
     copy(from.stiffness, model.others[k].stiffness);
+    copy(from.slide_gradient, model.others[k].slide_gradient);
     take(from.jacobian, model.others[k].jacobian[0].data());
   }
 
@@ -225,7 +227,8 @@ Wrench ModelRenderer::model_wrench(std::int64_t now_ns) noexcept {
       others[i] = others_.pose(front.others[i], front.model.others[i].reference);
     }
     return evaluator_.evaluate(front.model, to_world(front.mapping, hand_),
-                               {others.data(), static_cast<std::size_t>(front.model.other_count)});
+                               {others.data(), static_cast<std::size_t>(front.model.other_count)},
+                               now_ns);
   };
   if (!models_.pending()) return blend_.apply(evaluate_front(), now_ns);
   const Wrench shown = blend_.apply(evaluate_front(), now_ns);
@@ -328,8 +331,10 @@ Force ModelRenderer::render(const Hand& hand, std::int64_t taken_ns, const Force
   ongoing_ = 0;
   if (limited) ongoing_ |= suture_v1_FAULT_FORCE_LIMIT;
   if (slewed) ongoing_ |= suture_v1_FAULT_SLEW_LIMIT;
-  if (now_ns - good_ns_ > hand_stale_ns_) ongoing_ |= suture_v1_FAULT_POSE_STALE;
-  if (now_ns - current.arrived_ns > current.stale_after_ns) ongoing_ |= suture_v1_FAULT_MODEL_STALE;
+  if (hand_stale_.update(now_ns - good_ns_ > hand_stale_ns_, now_ns))
+    ongoing_ |= suture_v1_FAULT_POSE_STALE;
+  if (model_stale_.update(now_ns - current.arrived_ns > current.stale_after_ns, now_ns))
+    ongoing_ |= suture_v1_FAULT_MODEL_STALE;
   if (evaluator_.fallbacks() != last_fallbacks_) ongoing_ |= suture_v1_FAULT_MODEL_PIVOTS;
   last_fallbacks_ = evaluator_.fallbacks();
 

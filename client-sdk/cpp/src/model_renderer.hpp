@@ -102,6 +102,7 @@ class ModelRenderer {
   SwapBlend blend_;
   RampedGain gain_{kRiseNs};
   EnergyObserver energy_;
+  LastingCondition hand_stale_{kRiseNs}, model_stale_{kRiseNs};
   Hand hand_;      // rendered: the last good one, frozen while the gain falls
   Hand previous_;  // the last good one
   bool has_previous_ = false;

@@ -108,6 +108,23 @@ TEST_F(ModelRendererTest, GoesToZeroWhenModelsStopAndNeverSteps) {
   EXPECT_EQ(last, 0.0);
 }
 
+TEST_F(ModelRendererTest, TellsOneFaultWhereModelsComeAtTheEdgeOfTheirTime) {
+  settle(hand_at(0.01));
+  int begun = 0;
+  bool stale = false;
+  for (int i = 1; i <= 1000; ++i) {
+    now_ns_ += kMs;
+    if (i % 22 == 0) renderer_.receive(wire_, now_ns_);  // stale at 20 ms
+    (void)render(hand_at(0.01), rendering(), now_ns_);
+    const bool now = (renderer_.faults() & suture_v1_FAULT_MODEL_STALE) != 0;
+    begun += now && !stale;
+    stale = now;
+  }
+  EXPECT_EQ(begun, 1);
+  settle(hand_at(0.01));
+  EXPECT_EQ(renderer_.faults(), 0U);
+}
+
 TEST_F(ModelRendererTest, ObeysTheServersStop) {
   double last = -settle(hand_at(0.01)).force_n[0];
   Force stopped;

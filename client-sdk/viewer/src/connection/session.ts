@@ -212,6 +212,7 @@ export class Session implements HandOutput {
   }
 
   #onStatus(status: ServerStatus): void {
+    if (status.epoch === 0n) return; // another server that asks for the session
     this.#epoch = status.epoch;
     if (!this.#hand) return;
     this.#hand.epoch = status.epoch;
@@ -264,7 +265,7 @@ export class Session implements HandOutput {
     this.#publish(2, {
       tool, epoch: this.#epoch, sequence_number: 1n, stamp_ns: this.#stamp(), device: kNobody, model: "viewer, pointer",
       rate_hz: 1000 / kPosePeriod_ms, max_force_n: 0, max_torque_nm: 0, max_stiffness_n_per_m: 0,
-      max_damping_n_s_per_m: 0, max_force_slew_n_per_s: 0, pointer: true,
+      max_force_slew_n_per_s: 0, pointer: true,
     });
   }
 
