@@ -67,7 +67,8 @@ std::optional<ServerInfo> listen(const Participant& participant, std::chrono::na
   do {
     waitset.wait(std::max<std::chrono::nanoseconds>(end - Clock::now(), {}));
     reader.take_each([&](const v1::ServerStatus& status, const SampleInfo& info) {
-      if (info.valid && info.writers_alive && status.state != suture_v1_SERVER_LEAVING) {
+      const bool serves = status.epoch != 0 && status.state != suture_v1_SERVER_LEAVING;
+      if (info.valid && info.writers_alive && serves) {
         found = server_info(status);
       }
     });

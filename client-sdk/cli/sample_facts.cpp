@@ -137,7 +137,7 @@ std::optional<ServerFacts> server_facts(std::span<const std::byte> bytes) {
   source.get<double>();         // simulation_time_s
   source.get<std::uint64_t>();  // steps
   facts.rate_hz = source.get<double>();
-  if (!source.good()) return std::nullopt;
+  if (!source.good() || facts.epoch == 0) return std::nullopt;  // 0: it does not serve yet
   return facts;
 }
 

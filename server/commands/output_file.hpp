@@ -10,6 +10,15 @@
 
 namespace sutured::commands {
 
+/// Makes the folder that --out names; throws std::runtime_error with the mend.
+inline void make_output_folder(const std::string& folder) {
+  std::error_code failed;
+  std::filesystem::create_directories(folder, failed);
+  if (failed)
+    throw std::runtime_error(folder + ": cannot be made: " + failed.message() +
+                             "; choose another --out");
+}
+
 /// A text file that is complete or an exception.
 class OutputFile {
  public:

@@ -198,11 +198,7 @@ int run(const RunOptions& options) {
       throw std::runtime_error(options.surgeon + ": tool \"" + track.tool +
                                "\" is not in the scene " + options.scene +
                                "; name one of its [[tool]] tables");
-  std::error_code failed;
-  std::filesystem::create_directories(options.out, failed);
-  if (failed)
-    throw std::runtime_error(options.out + ": cannot be made: " + failed.message() +
-                             "; choose another --out");
+  make_output_folder(options.out);
 
   Simulation sim(scene);
   const double rate_hz = options.rate_hz > 0.0 ? options.rate_hz : scene.rate_hz;

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "commands/config_file.hpp"
+#include "commands/output_file.hpp"
 #include "commands/run_record.hpp"
 #include "commands/scene_file.hpp"
 #include "commands/service_log.hpp"
@@ -91,19 +92,25 @@ class EndSignals {
     sigaddset(&set_, SIGTERM);
     pthread_sigmask(SIG_BLOCK, &set_, &before_);
   }
-  ~EndSignals() { pthread_sigmask(SIG_SETMASK, &before_, nullptr); }
+  /// Once one has come they stay kept: whoever asks a second time would else end a server that is
+  /// at its end already, with another exit code.
+  ~EndSignals() {
+    if (!came_) pthread_sigmask(SIG_SETMASK, &before_, nullptr);
+  }
   EndSignals(const EndSignals&) = delete;
   EndSignals& operator=(const EndSignals&) = delete;
 
   /// Returns the signal that came within `duration_ns`, or 0.
-  int wait(std::int64_t duration_ns) const {
+  int wait(std::int64_t duration_ns) {
     const timespec timeout{duration_ns / 1'000'000'000, duration_ns % 1'000'000'000};
     const int signal = sigtimedwait(&set_, nullptr, &timeout);
+    came_ |= signal > 0;
     return signal > 0 ? signal : 0;
   }
 
  private:
   sigset_t set_{}, before_{};
+  bool came_ = false;
 };
 
 /// Splits `ADDR:PORT`, `[ADDR]:PORT` or `PORT`; false where it is none of them.
@@ -159,7 +166,7 @@ std::string scene_of(const Options& options) {
 }
 
 int serve(const Options& options) {
-  const EndSignals signals;
+  EndSignals signals;
   ServiceManager manager;
   const auto log = make_service_log();
   const std::string file = scene_of(options);
@@ -186,7 +193,7 @@ int serve(const Options& options) {
   server_options.more_viewers = [&web] { return web ? web->viewers_beyond_readers() : 0; };
   std::optional<ServedRecord> record;
   if (!options.out.empty()) {
-    std::filesystem::create_directories(options.out);
+    make_output_folder(options.out);
     record.emplace(scene, rate_hz, options.out);
     server_options.watch = [&record](simulation::Simulation& simulation, bool last) {
       record->watch(simulation, last);
@@ -217,6 +224,10 @@ int serve(const Options& options) {
       reason = "its duration is over";
     } else if (const int signal = signals.wait(std::min(manager.look_ns(), left_ns)); signal != 0) {
       reason = signal == SIGINT ? "interrupted" : "terminated";
+    } else if (std::string rival = server.rival(); !rival.empty()) {
+      log->error("{}", rival);
+      reason = "another server has the session";
+      code = kServerRunning;
     } else if (std::string failure = server.failure(); !failure.empty()) {
       log->error("the simulation ended: {}", failure);
       reason = "the simulation ended: " + failure;

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "endpoints/scene_publisher.hpp"
 
-#include <unistd.h>
-
 #include <algorithm>
 #include <cmath>
 #include <span>
@@ -46,18 +44,12 @@ constexpr std::array<std::string_view, haptics::kFaultCount> kFaultTexts{
     "another device wants this tool",
 };
 
-std::string host_name() {
-  std::array<char, 65> name{};
-  return gethostname(name.data(), name.size() - 1) == 0 ? name.data() : "";
-}
-
 }  // namespace
 
 ScenePublisher::ScenePublisher(const suture::Participant& control, const suture::Participant& mesh,
-                               Served served)
+                               SessionClaim& claim, Served served)
     : served_(std::move(served)),
-      started_ns_(suture::wall_clock_ns()),
-      status_(control),
+      claim_(claim),
       events_(control),
       profiles_(control),
       replies_(control),
@@ -73,7 +65,6 @@ ScenePublisher::ScenePublisher(const suture::Participant& control, const suture:
       told_(served_.tools.size()),
       tool_status_(served_.tools.size()),
       told_quality_(served_.scene.threads.size()) {
-  guid_ = status_.guid();
   status_ns_ = suture::monotonic_ns();
   publish_topology();
   publish_status(state(), "");
@@ -98,7 +89,7 @@ void ScenePublisher::finish(const std::string& reason) noexcept {
     return;
   }
   constexpr std::chrono::milliseconds kPatience(200);
-  status_.wait_for_acknowledgements(kPatience);
+  claim_.status().wait_for_acknowledgements(kPatience);
   events_.wait_for_acknowledgements(kPatience);
 }
 
@@ -111,6 +102,7 @@ void ScenePublisher::run() noexcept {
     served_.forces.end_leases_of_the_departed();
     obey();
     heed_devices();
+    look_for_a_rival();
     finish_changes();
     finish_checkpoints();
     publish_events(now_ns);
@@ -518,9 +510,8 @@ void ScenePublisher::execute(const suture::v1::Command& command, suture::v1::Com
       if (found == served_.tools.end())
         return answer(reply, suture_v1_COMMAND_REFUSED,
                       "the scene has no tool \"" + std::string(name) + "\"");
-      if (found->channel->lease() == 0)
+      if (!found->channel->release())
         return answer(reply, suture_v1_COMMAND_REFUSED, "nobody holds that tool");
-      found->channel->end_lease(found->channel->lease());
       return answer(reply, suture_v1_COMMAND_DONE, "");
     }
     default:
@@ -564,6 +555,13 @@ void ScenePublisher::heed_devices() {
 
 // ------------------------------------------------------------------ status
 
+void ScenePublisher::look_for_a_rival() {
+  std::string found = claim_.rival();
+  if (found.empty()) return;
+  const std::lock_guard lock(rival_mutex_);
+  rival_ = std::move(found);
+}
+
 suture_v1_ServerState ScenePublisher::state() const {
   if (stopped_ || !served_.loop.failure().empty()) return suture_v1_SERVER_STOPPED;
   if (served_.loop.paused()) return suture_v1_SERVER_PAUSED;
@@ -578,17 +576,10 @@ void ScenePublisher::publish_status(suture_v1_ServerState state, const std::stri
   suture::v1::ServerStatus status{};
   status.epoch = served_.loop.epoch();
   status.sequence_number = ++status_sequence_;
-  status.stamp_ns = suture::wall_clock_ns();
-  status.protocol_version = suture_v1_PROTOCOL_VERSION;
-  suture::set_text(status.server_version, served_.version);
-  suture::set_guid(status.server, guid_);
-  suture::set_text(status.session, served_.session);
-  suture::set_text(status.host, host_name());
-  status.pid = getpid();
-  status.started_ns = started_ns_;
+  identify(status, claim_.server(), served_.session, served_.scene.name);
+  status.started_ns = claim_.started_ns();
   status.state = state;
   suture::set_text(status.state_reason, reason);
-  suture::set_text(status.scene, served_.scene.name);
   status.simulation_time_s = time_s_;
   status.steps = served_.loop.steps();
   status.rate_hz = served_.rate_hz;
@@ -660,7 +651,7 @@ void ScenePublisher::publish_status(suture_v1_ServerState state, const std::stri
     tool.stale_after_ms = static_cast<double>(channel.pose_stale_after_ns()) * 1e-6;
   }
   suture::lend(status.tools, std::span<const suture::v1::ToolStatus>(tool_status_));
-  status_.write(status);
+  claim_.status().write(status);
 }
 
 }  // namespace sutured::endpoints

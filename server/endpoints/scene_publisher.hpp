@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <mutex>
 #include <string>
 #include <thread>
 #include <vector>
@@ -14,6 +15,7 @@
 #include "checkpoints/checkpoint_keeper.hpp"
 #include "endpoints/force_service.hpp"
 #include "endpoints/model_publisher.hpp"
+#include "endpoints/session_claim.hpp"
 #include "haptics/realtime.hpp"
 #include "haptics/simulation_loop.hpp"
 #include "haptics/supervisor.hpp"
@@ -31,7 +33,7 @@ struct Served {
   haptics::Supervisor& supervisor;
   const haptics::RealtimeReport& realtime;
   double rate_hz = 0.0;
-  std::string session, version;
+  std::string session;
   checkpoints::CheckpointKeeper* keeper = nullptr;  ///< null: there are no checkpoints
   std::string resumed;                              ///< Server::resumed
   std::function<int()> more_viewers;                ///< Server::Options
@@ -44,13 +46,19 @@ class ScenePublisher {
  public:
   /// Publishes the bodies at rest and begins. Throws suture::Error.
   ScenePublisher(const suture::Participant& control, const suture::Participant& mesh,
-                 Served served);
+                 SessionClaim& claim, Served served);
   ~ScenePublisher();
   ScenePublisher(const ScenePublisher&) = delete;
   ScenePublisher& operator=(const ScenePublisher&) = delete;
 
   /// Tells once more how things stand, as `leaving`, and ends.
   void finish(const std::string& reason) noexcept;
+
+  /// Returns the last SessionClaim::rival. Threads: any.
+  [[nodiscard]] std::string rival() const {
+    const std::lock_guard lock(rival_mutex_);
+    return rival_;
+  }
 
  private:
   /// How far the counters of a tool have been told as events.
@@ -96,15 +104,16 @@ class ScenePublisher {
   void finish_checkpoints();
   void execute(const suture::v1::Command& command, suture::v1::CommandReply& reply);
   void heed_devices();
+  void look_for_a_rival();
   void finish_changes();
   void notice(suture_v1_EventKind kind, const std::string& text);
   suture_v1_ServerState state() const;
 
   Served served_;
-  std::int64_t started_ns_;
-  suture::Guid guid_{};
+  SessionClaim& claim_;
+  mutable std::mutex rival_mutex_;
+  std::string rival_;
 
-  suture::Writer<suture::v1::ServerStatus> status_;
   suture::Writer<suture::v1::Event> events_;
   suture::Reader<suture::v1::DeviceProfile> profiles_;
   suture::Writer<suture::v1::CommandReply> replies_;

@@ -12,30 +12,18 @@
 #include "endpoints/force_service.hpp"
 #include "endpoints/model_publisher.hpp"
 #include "endpoints/scene_publisher.hpp"
+#include "endpoints/session_claim.hpp"
 #include "haptics/simulation_loop.hpp"
 #include "haptics/supervisor.hpp"
-#include "protocol/rendezvous.hpp"
 #include "simulation/simulation.hpp"
 
 namespace sutured::endpoints {
 namespace {
 
-// How long to listen for another server of the session. Discovery and a status kept for
-// late joiners take tens of milliseconds on a quiet network.
-constexpr std::chrono::milliseconds kListen(600);
+// How long to ask for the session. Discovery and a status kept for late joiners take tens of
+// milliseconds on a quiet network; a server tells its status twice a second.
+constexpr std::chrono::milliseconds kAsk(600);
 constexpr std::int64_t kFadePatience_ns = 100 * haptics::kMillisecond_ns;
-
-void refuse_a_second_server(const suture::Participant& control) {
-  const auto other = suture::find_other_server(control, kListen);
-  if (!other) return;
-  const auto& options = control.options();
-  throw suture::Error(suture::ErrorCode::kServerRunning,
-                      suture::session_text(options.session) + " of domain " +
-                          std::to_string(options.domain) + " has a server: scene \"" +
-                          other->scene + "\", process " + std::to_string(other->pid) + " on " +
-                          other->host,
-                      "end that one, or start this one with another --session or --domain");
-}
 
 }  // namespace
 
@@ -58,6 +46,7 @@ struct Server::State {
     keeper.reset();
     forces.reset();
     mesh.reset();
+    claim.reset();
     control.reset();
   }
 
@@ -84,6 +73,7 @@ struct Server::State {
   std::chrono::steady_clock::time_point started = std::chrono::steady_clock::now();
 
   std::optional<suture::Participant> control, mesh;
+  std::optional<SessionClaim> claim;
   std::optional<checkpoints::CheckpointKeeper> keeper;
   std::string resumed, refused;
   std::optional<haptics::PoseBoard> board;
@@ -102,7 +92,7 @@ Server::Server(scene::Scene scene, Options options)
   // Before any other thread starts, so that all of them live in locked memory.
   s.realtime = haptics::prepare_realtime();
   s.control.emplace(s.options.session, suture::Channel::kControl);
-  refuse_a_second_server(*s.control);
+  s.claim.emplace(*s.control, s.scene.name, kAsk);
   s.mesh.emplace(s.options.session, suture::Channel::kMesh);
   simulation::Simulation simulation(s.scene);
 
@@ -134,11 +124,10 @@ Server::Server(scene::Scene scene, Options options)
   s.loop.emplace(std::move(simulation), channels, std::move(loop_options));
   s.models->start(*s.loop);
   s.supervisor.emplace([forces = &*s.forces](std::int64_t now_ns) { forces->tick(now_ns); });
-  s.publisher.emplace(
-      *s.control, *s.mesh,
-      Served{s.scene, s.tools, *s.forces, *s.models, *s.loop, *s.supervisor, s.realtime,
-             s.options.rate_hz, s.options.session.session, SUTURED_VERSION,
-             s.keeper ? &*s.keeper : nullptr, s.resumed, s.options.more_viewers});
+  s.publisher.emplace(*s.control, *s.mesh, *s.claim,
+                      Served{s.scene, s.tools, *s.forces, *s.models, *s.loop, *s.supervisor,
+                             s.realtime, s.options.rate_hz, s.options.session.session,
+                             s.keeper ? &*s.keeper : nullptr, s.resumed, s.options.more_viewers});
 }
 
 Server::~Server() { stop("the server ends"); }
@@ -170,6 +159,8 @@ Server::Pulse Server::pulse() const {
   if (!s.loop || !s.supervisor) return {};
   return {s.loop->beats(), s.supervisor->ticks()};
 }
+
+std::string Server::rival() const { return state_->publisher ? state_->publisher->rival() : ""; }
 
 const haptics::RealtimeReport& Server::realtime() const { return state_->realtime; }
 

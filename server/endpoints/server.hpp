@@ -58,6 +58,9 @@ class Server {
     std::uint64_t ticks = 0;  ///< of the supervisor
   };
   [[nodiscard]] Pulse pulse() const;
+  /// Returns which other server serves this session too and precedes this one, which shall then
+  /// end (docs/adr/0043); empty while there is none.
+  [[nodiscard]] std::string rival() const;
   [[nodiscard]] const haptics::RealtimeReport& realtime() const;
   /// One line for people: steps, rate, overruns.
   [[nodiscard]] std::string summary() const;

@@ -75,7 +75,7 @@ std::optional<Status> Session::next_status(std::chrono::nanoseconds timeout) {
   std::optional<Status> next;
   for (;;) {
     state_->status_reader.take_each([&](const v1::ServerStatus& wire, const SampleInfo& info) {
-      if (info.valid) next = to_status(wire);
+      if (info.valid && wire.epoch != 0) next = to_status(wire);
     });
     if (next) break;
     const auto left = end - Clock::now();

@@ -70,7 +70,9 @@ struct Viewer::State {
       while (!leaving) {
         waitset.wait(std::chrono::seconds(1));
         // Topologies before the frames that need them.
-        status.drain([&](const auto& wire) { callbacks.on_status(to_status(wire)); });
+        status.drain([&](const auto& wire) {
+          if (wire.epoch != 0) callbacks.on_status(to_status(wire));
+        });
         topology.drain([&](const auto& wire) { callbacks.on_topology(to_topology(wire)); });
         frame.drain([&](const auto& wire) { callbacks.on_frame(to_frame(wire)); });
         needle.drain([&](const auto& wire) { callbacks.on_needle(to_needle(wire)); });

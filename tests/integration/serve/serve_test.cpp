@@ -549,6 +549,35 @@ TEST_F(Serve, RefusesASecondServerInTheSameSessionOnly) {
   EXPECT_EQ(other.wait(), 0) << other.output();
 }
 
+TEST_F(Serve, OfTwoServersThatStartAtOnceOneServes) {
+  const std::vector<std::string> command{
+      SUTURED_PROGRAM, "serve",         scene_, "--domain", std::to_string(session_.domain),
+      "--session",     session_.session};
+  std::vector<std::unique_ptr<Process>> servers;
+  for (int i = 0; i < 2; ++i) servers.push_back(std::make_unique<Process>(command));
+  suture::Session session(session_options());  // one serves
+  const suture::Status status = session.status();
+  for (const auto& server : servers) {
+    const bool serves = server->pid() == status.pid;
+    if (serves) server->send(SIGTERM);
+    EXPECT_EQ(server->wait(), serves ? 0 : 3) << server->output();
+    EXPECT_EQ(server->output().find("serving scene") != std::string::npos, serves);
+    EXPECT_EQ(server->output().find("has a server: scene") != std::string::npos, !serves);
+  }
+}
+
+TEST_F(Serve, EndsWithItsOwnCodeHoweverOftenItIsAsked) {
+  start_server();
+  std::atomic<bool> ended{false};
+  std::thread impatient([&] {
+    while (!ended) server_->send(SIGTERM);
+  });
+  server_->read_until();
+  ended = true;  // its output is closed: it is at its very end, or over
+  impatient.join();
+  EXPECT_EQ(server_->wait(), 0) << server_->output();
+}
+
 TEST_F(Serve, NamesWhatIsWrongWithItsCommandLine) {
   const auto refuses = [this](std::vector<std::string> more, int code, const std::string& text) {
     std::vector<std::string> command{SUTURED_PROGRAM, "serve"};
@@ -558,6 +587,7 @@ TEST_F(Serve, NamesWhatIsWrongWithItsCommandLine) {
     EXPECT_NE(process.output().find(text), std::string::npos) << process.output();
   };
   refuses({scene_, "--domain", "7"}, 2, "even");
+  refuses({scene_, "--out", "/proc/x"}, 1, "/proc/x: cannot be made: ");
   refuses({scene_, "--rate", "5"}, 2, "rate");
   refuses({scene_, "--http", "127.0.0.1:99999"}, 2, "is not an address");
   refuses({scene_, "--http", "::1:8080"}, 2, "is not an address");
