@@ -93,6 +93,26 @@ Pose moved(const Vec6& xi) {
   return {{x[0], x[1], x[2]}, {q.x(), q.y(), q.z(), q.w()}};
 }
 
+/// At a turn of the hand, friction is as stiff as the tissue that the needle drags along.
+TEST(VirtualCoupling, HoldsTheFrictionOfANeedleWhereItWouldBeStifferThanTheDeviceRenders) {
+  const auto coupled = [](double max_stiffness_n_per_m) {
+    auto model = std::make_unique<HapticModel>();
+    model->touching = true;
+    model->sequence = 1;
+    model->characteristic_length_m = kLength_m;
+    for (int i = 0; i < 3; ++i) model->bilateral_stiffness[7 * i] = 100.0;
+    model->slide_twist[0] = model->slide_gradient[0] = 1.0;
+    model->slide_stiffness = 300.0;
+    model->slide_drag_n_s_per_m = 0.2;
+    complete_model(*model);
+    couple_model(*model, max_stiffness_n_per_m);
+    return model->slide_drag_n_s_per_m;
+  };
+  EXPECT_EQ(coupled(500.0), 0.2);
+  EXPECT_EQ(coupled(350.0), 0.0);
+  EXPECT_EQ(coupled(0.0), 0.2) << "a device that tells no limit";
+}
+
 TEST(VirtualCoupling, ChangesNothingWhereTheDeviceIsStiffEnough) {
   std::mt19937 random(1);
   for (const int rows : {0, 5, 40}) {
