@@ -32,10 +32,10 @@ struct ParticipantOptions {
   /// writing thread. For those who serve strangers inside a process that renders forces.
   /// Settings of `CYCLONEDDS_URI` must then stand under `<Domain Id="any">`.
   bool separate = false;
+  NetworkOptions network{};
   /// Hear every session of the domain instead of one, and say nothing: `session` must be empty,
   /// and writers cannot be made.
   bool every_session = false;
-  NetworkOptions network{};
 };
 
 /// Says whether the present process may run SCHED_FIFO threads of `priority`: it
