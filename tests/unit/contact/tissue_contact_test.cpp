@@ -13,7 +13,7 @@ namespace sutured::contact {
 namespace {
 
 /// Two blocks, the second above the first by `kGap_m` and turned, so that edges cross.
-constexpr double kGap_m = 0.9e-3;
+constexpr double kGap_m = 0.75e-3;
 
 struct Blocks {
   Blocks() {
