@@ -395,11 +395,12 @@ int run(std::size_t count, std::uint64_t seed) {
   setpriority(PRIO_PROCESS, 0, 19);
 
   GoodClient good(port);
-  const auto until_driven = [&] {
-    while (metric(port, "sutured_devices") < 1)
-      if (!good.frames(1)) throw std::runtime_error("the server has gone: " + server.output());
+  const auto driven = [&] {
+    return testing::http_get(port, "/healthz").find(" 200 ") != std::string::npos &&
+           metric(port, "sutured_devices") >= 1;
   };
-  until_driven();
+  while (!driven())
+    if (!good.frames(1)) throw std::runtime_error("the server has gone: " + server.output());
   const Counts begin = Counts::of(port);
   constexpr int kQuietFrames = 600;  // of two bodies
   if (!good.frames(kQuietFrames)) throw std::runtime_error("the server sends nothing");
