@@ -149,8 +149,8 @@ mount -t proc proc "$root/proc"
 
 echo "== an outside project"
 install ./packages/libsuture-dev_*.deb g++ cmake ninja-build
-inside cmake -S /job/outside -B /job/build -G Ninja >/dev/null || fail "find_package(suture)"
-inside cmake --build /job/build >/dev/null || fail "the outside project's build"
+inside sh -c 'cmake -S /job/outside -B /job/build -G Ninja && cmake --build /job/build' >"$root/job/outside.log" 2>&1 || {
+  cat "$root/job/outside.log"; fail "the outside project's build"; }
 code=0
 said=$(inside /job/build/outside) || code=$?
 [ $code = 3 ] && grep -q 'no server answers in domain 198' <<<"$said" || fail "the outside project: $code, $said"
