@@ -57,6 +57,8 @@ struct TopArguments {
 struct SessionsArguments {
   std::vector<std::uint32_t> domains{0};
   bool all_domains = false;
+  std::string security;
+  NetworkOptions network;
   double timeout_s = 3.0;
   bool json = false;
 };

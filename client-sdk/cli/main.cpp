@@ -69,20 +69,24 @@ void add_security_option(CLI::App& command, std::string& folder) {
                      "folder of keys that `suture keys add` made, or off; else SUTURE_SECURITY's");
 }
 
+void add_network_options(CLI::App& command, NetworkOptions& network) {
+  command.add_option("--interface", network.interface,
+                     "network interface, name or IPv4 address; else SUTURE_INTERFACE's, else this "
+                     "machine alone");
+  command
+      .add_option("--peer", network.peers,
+                  "host to look for, once for each; nobody else is heard; else SUTURE_PEERS'")
+      ->allow_extra_args(false);
+  command.add_flag("--unsecured-network", network.unsecured,
+                   "take part in a network without keys: whoever is on it may drive");
+}
+
 void add_place_options(CLI::App& command, SessionArguments& session) {
   command.add_option("--domain", session.domain, "DDS domain, even; meshes use the next one")
       ->capture_default_str();
   command.add_option("--session", session.session, "session name (a DDS partition)");
   add_security_option(command, session.security);
-  command.add_option("--interface", session.network.interface,
-                     "network interface, name or IPv4 address; else SUTURE_INTERFACE's, else this "
-                     "machine alone");
-  command
-      .add_option("--peer", session.network.peers,
-                  "host to look for, once for each; nobody else is heard; else SUTURE_PEERS'")
-      ->allow_extra_args(false);
-  command.add_flag("--unsecured-network", session.network.unsecured,
-                   "take part in a network without keys: whoever is on it may drive");
+  add_network_options(command, session.network);
 }
 
 void add_session_options(CLI::App& command, SessionArguments& session) {
@@ -166,6 +170,8 @@ int run(int argc, char** argv) {
           ->capture_default_str();
   sessions_command->add_flag("--all-domains", sessions.all_domains, "look in every domain")
       ->excludes(domain_option);
+  add_security_option(*sessions_command, sessions.security);
+  add_network_options(*sessions_command, sessions.network);
   sessions_command->add_option("--timeout", sessions.timeout_s, "seconds to wait at most")
       ->check(suture::within(0.001, 3600.0, "s"))
       ->capture_default_str();

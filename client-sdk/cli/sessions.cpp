@@ -171,6 +171,8 @@ int run_sessions(const SessionsArguments& arguments) {
     ParticipantOptions options;
     options.domain = domain;
     options.every_session = true;
+    options.security = arguments.security;
+    options.network = arguments.network;
     participants.emplace_back(options, Channel::kControl);
   }
 
