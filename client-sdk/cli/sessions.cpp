@@ -63,7 +63,8 @@ Row row_of(std::uint32_t domain, const v1::ServerStatus& status) {
   row.version = printable(text_of(status.server_version));
   row.state = state_text(status.state);
   row.pid = status.pid;
-  row.uptime_s = 1e-9 * static_cast<double>(status.stamp_ns - status.started_ns);
+  if (status.started_ns > 0)  // else it is about to
+    row.uptime_s = 1e-9 * static_cast<double>(status.stamp_ns - status.started_ns);
   row.rate_hz = status.rate_hz;
   row.achieved_rate_hz = status.achieved_rate_hz;
   row.step_p99_ms = 1e-3 * status.step.p99_us;
