@@ -128,7 +128,7 @@ struct Device::State {
   explicit State(DeviceOptions chosen)
       : options(std::move(chosen)),
         id(tool_id(options.tool)),
-        participant({options.domain, options.session, options.security, options.tool, false,
+        participant({options.domain, options.session, options.security, options.tool, false, false,
                      options.network},
                     Channel::kControl),
         guard(std::chrono::nanoseconds(options.silent_after).count()) {}

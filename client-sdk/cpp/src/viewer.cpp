@@ -39,9 +39,10 @@ class Subscription {
 struct Viewer::State {
   State(const SessionOptions& options, ViewerCallbacks chosen)
       : callbacks(std::move(chosen)),
-        control({options.domain, options.session, options.security, "", false, options.network},
-                Channel::kControl),
-        mesh({options.domain, options.session, options.security, "", false, options.network},
+        control(
+            {options.domain, options.session, options.security, "", false, false, options.network},
+            Channel::kControl),
+        mesh({options.domain, options.session, options.security, "", false, false, options.network},
              Channel::kMesh) {
     static_cast<void>(await_server(control, options.timeout));
     event.open(static_cast<bool>(callbacks.on_event), control, waitset);
