@@ -14,8 +14,12 @@ TEST_P(Attacked, IsRefused) {
   Arena arena;
   const Arena::Result result = arena.run(GetParam(), 3.0);
   EXPECT_EQ(result.reached.answered, 0) << "of " << result.reached.sent;
-  if (!GetParam().may_read) EXPECT_EQ(result.reached.read, 0);
-  if (!GetParam().may_match) EXPECT_EQ(result.reached.matched, 0);
+  if (!GetParam().may_read) {
+    EXPECT_EQ(result.reached.read, 0);
+  }
+  if (!GetParam().may_match) {
+    EXPECT_EQ(result.reached.matched, 0);
+  }
   EXPECT_EQ(result.poses, 0U) << "the tool obeyed the attacker";
   EXPECT_FALSE(result.leased);
   // The device beside is served. How well is a figure of docs/results/security.md.

@@ -128,8 +128,11 @@ struct Device::State {
   explicit State(DeviceOptions chosen)
       : options(std::move(chosen)),
         id(tool_id(options.tool)),
-        participant({options.domain, options.session, options.security, options.tool, false, false,
-                     options.network},
+        participant({.domain = options.domain,
+                     .session = options.session,
+                     .security = options.security,
+                     .tool = options.tool,
+                     .network = options.network},
                     Channel::kControl),
         guard(std::chrono::nanoseconds(options.silent_after).count()) {}
 

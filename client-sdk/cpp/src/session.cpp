@@ -39,9 +39,11 @@ const char* name_of(CommandKind kind) noexcept {
 struct Session::State {
   explicit State(const SessionOptions& chosen)
       : options(chosen),
-        control(
-            {options.domain, options.session, options.security, "", false, false, options.network},
-            Channel::kControl),
+        control({.domain = options.domain,
+                 .session = options.session,
+                 .security = options.security,
+                 .network = options.network},
+                Channel::kControl),
         server(await_server(control, options.timeout)),
         status_reader(control) {
     status_waitset.attach(status_reader);

@@ -39,10 +39,15 @@ class Subscription {
 struct Viewer::State {
   State(const SessionOptions& options, ViewerCallbacks chosen)
       : callbacks(std::move(chosen)),
-        control(
-            {options.domain, options.session, options.security, "", false, false, options.network},
-            Channel::kControl),
-        mesh({options.domain, options.session, options.security, "", false, false, options.network},
+        control({.domain = options.domain,
+                 .session = options.session,
+                 .security = options.security,
+                 .network = options.network},
+                Channel::kControl),
+        mesh({.domain = options.domain,
+              .session = options.session,
+              .security = options.security,
+              .network = options.network},
              Channel::kMesh) {
     static_cast<void>(await_server(control, options.timeout));
     event.open(static_cast<bool>(callbacks.on_event), control, waitset);
