@@ -374,11 +374,6 @@ void ModelEvaluator::drag(const HapticModel& model, double slide_m, std::int64_t
     w.force_n[i] += more_n * model.slide_gradient[i];
     w.torque_nm[i] += more_n * model.slide_gradient[i + 3];
   }
-  // It acts where the tissue is, which the needle leaves behind.
-  const auto& s = model.slide_twist;
-  const auto& g = model.slide_gradient;
-  const Array3 left_behind = cross({s[0], s[1], s[2]}, {g[0], g[1], g[2]});
-  for (int i = 0; i < 3; ++i) w.torque_nm[i] -= slide_m * more_n * left_behind[i];
 }
 
 Wrench evaluate(const HapticModel& model, const Pose& pose, std::span<const Pose> others) noexcept {

@@ -163,6 +163,7 @@ describe("the viewer", { timeout: 240_000 }, () => {
       await nextFrame(opened);
       await nextFrame(opened);
     };
+    await opened.locator('[data-tool="driver"]').getByRole("button").and(opened.locator(":enabled")).waitFor();
     await press(kStart);
     await press();
     await lease(opened, "held");

@@ -14,6 +14,7 @@ export const vessels = join(root, "server/scenes/anastomosis/scene.toml");
 /** An even domain that ordinary use leaves alone, and a session of this process in it. */
 const domain = 100 + 2 * (process.pid % 60);
 const session = `node-${process.pid}`;
+let started = 0;
 
 /** A port that nobody has just now: a server that comes back must come back on the same one. */
 async function freePort() {
@@ -72,6 +73,7 @@ export class Server {
 
   static async start({ scene = vessels, port = undefined, options = [] } = {}) {
     const server = new Server();
+    server.session = `${session}-${++started}`;
     server.scene = scene;
     server.port = port ?? (await freePort());
     server.#program = new Program(program, ["serve", scene, ...server.place, "--http", `127.0.0.1:${server.port}`, ...options]);
@@ -86,7 +88,7 @@ export class Server {
   }
   /** Where it is found over DDS, as options of a command. */
   get place() {
-    return ["--domain", String(domain), "--session", session];
+    return ["--domain", String(domain), "--session", this.session];
   }
 
   end(signal = "SIGINT") {

@@ -659,7 +659,11 @@ TEST(HapticModel, GivesNothingToAHandThatSlidesANeedleToAndFro) {
   RandomModels random(10);
   SpringTool tool = random_tool(random, true);
   HapticModel model = tool.model();
-  model.slide_friction_n = 0.05;
+  model.slide_friction_n = 0.05;  // is part of the wrench
+  for (int i = 0; i < 3; ++i) {
+    model.bilateral_wrench.force_n[i] += model.slide_friction_n * model.slide_gradient[i];
+    model.bilateral_wrench.torque_nm[i] += model.slide_friction_n * model.slide_gradient[i + 3];
+  }
   for (const double time_constant_s : {1e-6, 4e-4, 0.02, 10.0}) {
     model.slide_drag_n_s_per_m = time_constant_s * model.slide_stiffness;
     ModelEvaluator evaluator;
