@@ -30,7 +30,7 @@ struct Felt {
 struct Reached {
   std::string error;  ///< its own software's; empty: it went on
   std::uint64_t sent = 0;
-  int matched = 0;   ///< readers of the server that its pose writer was let to
+  int matched = 0;   ///< readers of the server that its pose writer has, as itself sees it
   int answered = 0;  ///< forces for its poses
   int read = 0;      ///< samples of forces and models
 };
@@ -40,7 +40,7 @@ struct Attack {
   std::string name;  ///< for CTest
   std::string what;  ///< for people
   std::string by;    ///< who refuses it, and how
-  /// May its pose writer reach the server's reader (and be refused tool by tool)?
+  /// May its pose writer see the server's reader: refused tool by tool, or with its own checks off?
   bool may_match = false;
   /// May its keys read forces and models?
   bool may_read = false;
