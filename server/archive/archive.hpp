@@ -108,7 +108,7 @@ class Archive {
       bytes(&v, sizeof v);
     } else {
       static_assert(std::is_aggregate_v<T>, "give it a member serialize(Archive&)");
-      boost::pfr::for_each_field(v, [this](auto& field) { value(field); });
+      boost::pfr::for_each_field(v, [this](auto& field) { this->value(field); });
     }
   }
   void value(bool& v);
@@ -150,7 +150,13 @@ class Archive {
       };
       const Eigen::Index rows = dimension(v.rows(), Rows, RowsMax);
       const Eigen::Index columns = dimension(v.cols(), Columns, ColumnsMax);
-      if (reads()) v.resize(rows, columns);
+      if (reads()) {
+        // Two lengths that the bytes can hold, and a product that they cannot.
+        if (columns > 0 &&
+            static_cast<std::size_t>(rows) > left() / static_cast<std::size_t>(columns))
+          throw ArchiveError("it ends early");
+        v.resize(rows, columns);
+      }
     }
     elements(v.data(), static_cast<std::size_t>(v.size()));
   }

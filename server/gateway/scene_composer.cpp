@@ -37,7 +37,8 @@ constexpr Colour kContact{0.20, 0.65, 0.30, 1.0};
 Colour stress_colour(double share) {
   constexpr std::array<std::array<double, 3>, 4> kStops{
       {{0.90, 0.72, 0.68}, {0.95, 0.75, 0.30}, {0.88, 0.30, 0.12}, {0.45, 0.03, 0.10}}};
-  const double at = std::clamp(share, 0.0, 1.0) * (kStops.size() - 1);
+  // What is no number is drawn as at rest.
+  const double at = (share > 0.0 ? std::min(share, 1.0) : 0.0) * (kStops.size() - 1);
   const std::size_t i = std::min(static_cast<std::size_t>(at), kStops.size() - 2);
   const double t = at - static_cast<double>(i);
   const auto mix = [&](std::size_t k) {
@@ -292,7 +293,7 @@ std::optional<suture::SerializedSample> SceneComposer::compose() {
   double peak_pa = kSmallestScale_pa;
   for (const auto& [name, tissue] : tissues_)
     for (const float stress_pa : tissue.von_mises_pa)
-      peak_pa = std::max(peak_pa, static_cast<double>(stress_pa));
+      if (std::isfinite(stress_pa)) peak_pa = std::max(peak_pa, static_cast<double>(stress_pa));
   peak_pa_ = std::max(peak_pa, kScaleDecay * peak_pa_);
 
   Drawing drawing(stamp_ns_);
@@ -302,7 +303,8 @@ std::optional<suture::SerializedSample> SceneComposer::compose() {
     std::vector<Colour>& colours = entity.colours.emplace_back();
     for (std::size_t v = 0; v < tissue.von_mises_pa.size(); ++v) {
       const float* const p = &tissue.position_m[3 * v];
-      points.push_back({p[0], p[1], p[2]});
+      points.push_back(
+          {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2])});
       colours.push_back(stress_colour(static_cast<double>(tissue.von_mises_pa[v]) / peak_pa_));
     }
     entity.indices = tissue.triangle;

@@ -12,6 +12,7 @@ namespace suture {
 namespace {
 
 constexpr std::int64_t kSlewWindowNs = 10'000'000;  // after a pause, no more than this at once
+constexpr std::int64_t kLongestNs = 1'000'000'000;  // of times that a model may ask for
 
 template <std::size_t N>
 void copy(const double (&from)[N], std::array<double, N>& to) noexcept {
@@ -99,7 +100,7 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
     const auto normal = static_cast<std::int64_t>(span_of(wire.bound_row)[i]);
     const double slope = span_of(wire.bound_slope)[i];
     if (normal < 0 || normal >= static_cast<std::int64_t>(rows) || !std::isfinite(slope) ||
-        slope < 0.0)
+        slope < 0.0 || !(span_of(wire.multiplier_max_n)[i] >= 0.0))
       return false;
   }
   HapticModel& model = received.model;
@@ -154,9 +155,9 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
   }
 
   received.mapping = wire.mapping;
-  received.blend_ns = wire.blend_ns;
-  received.ramp_ns = std::max<std::int64_t>(wire.ramp_ns, 1);
-  received.stale_after_ns = std::max<std::int64_t>(wire.stale_after_ns, 0);
+  received.blend_ns = std::clamp<std::int64_t>(wire.blend_ns, 0, kLongestNs);
+  received.ramp_ns = std::clamp<std::int64_t>(wire.ramp_ns, 1, kLongestNs);
+  received.stale_after_ns = std::clamp<std::int64_t>(wire.stale_after_ns, 0, kLongestNs);
   received.zero_after_ns = model_zero_after_ns(received.stale_after_ns);
   // A force that cannot end within the shortest ramp must not begin.
   received.limits = stoppable_within(

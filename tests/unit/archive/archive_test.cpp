@@ -123,6 +123,20 @@ TEST(Archive, ALengthThatLiesDoesNotFillTheMemory) {
   EXPECT_TRUE(read.empty());
 }
 
+TEST(Archive, AMatrixWhoseSizesLieDoesNotFillTheMemory) {
+  const auto bytes = written(Eigen::MatrixXd(Eigen::MatrixXd::Zero(8, 8)));
+  for (const std::uint8_t size : {std::uint8_t{9}, std::uint8_t{200}}) {
+    auto lies = bytes;  // each size alone could be: so many bytes are there
+    lies[1] = lies[9] = std::byte{size};
+    Eigen::MatrixXd read;
+    Archive archive = Archive::reading(lies);
+    EXPECT_THROW(archive(read), ArchiveError);
+    if (size == 200) {
+      EXPECT_EQ(read.size(), 0);
+    }
+  }
+}
+
 TEST(Archive, RefusesWhatCannotBeAValue) {
   auto truth = written(true);
   truth.back() = std::byte{2};

@@ -238,6 +238,38 @@ TEST_F(ModelRendererTest, DropsModelsWhoseBoundsFollowNothing) {
   EXPECT_TRUE(refused([](RoughWall& w) { w.slope[1] = HUGE_VAL; }));
 }
 
+TEST_F(ModelRendererTest, DropsAModelWhoseMultiplierHasNoRoomAtAll) {
+  double compliance = 1e-3, zero = 0.0, slope = 0.0, jacobian[6] = {1.0};
+  std::int32_t bound = 0;
+  for (const double max_n : {-1.0, std::numeric_limits<double>::quiet_NaN()}) {
+    double most = max_n;
+    lend(wire_.compliance_m_per_n, std::span<const double>(&compliance, 1));
+    lend(wire_.jacobian, std::span<const double>(jacobian));
+    lend(wire_.offset_m, std::span<const double>(&zero, 1));
+    lend(wire_.multiplier_n, std::span<const double>(&zero, 1));
+    lend(wire_.multiplier_max_n, std::span<const double>(&most, 1));
+    lend(wire_.bound_row, std::span<const std::int32_t>(&bound, 1));
+    lend(wire_.bound_slope, std::span<const double>(&slope, 1));
+    ReceivedModel received;
+    EXPECT_FALSE(receive_model(wire_, 1, {}, received)) << max_n;
+  }
+}
+
+TEST_F(ModelRendererTest, WaitsNoLongerThanASecondWhateverAModelAsksFor) {
+  wire_.blend_ns = wire_.ramp_ns = wire_.stale_after_ns = std::numeric_limits<std::int64_t>::max();
+  ReceivedModel received;
+  ASSERT_TRUE(receive_model(wire_, 1, {}, received));
+  EXPECT_EQ(received.blend_ns, 1000 * kMs);
+  EXPECT_EQ(received.ramp_ns, 1000 * kMs);
+  EXPECT_EQ(received.stale_after_ns, 1000 * kMs);
+  EXPECT_GT(received.zero_after_ns, received.stale_after_ns);
+  wire_.blend_ns = wire_.ramp_ns = wire_.stale_after_ns = std::numeric_limits<std::int64_t>::min();
+  ASSERT_TRUE(receive_model(wire_, 1, {}, received));
+  EXPECT_EQ(received.blend_ns, 0);
+  EXPECT_EQ(received.ramp_ns, 1);
+  EXPECT_EQ(received.stale_after_ns, 0);
+}
+
 TEST_F(ModelRendererTest, LetsNothingThroughThatIsNotFinite) {
   settle(hand_at(0.01));
   v1::HapticModel bad = spring_model(100.0, 2);
