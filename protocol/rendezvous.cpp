@@ -94,6 +94,22 @@ std::optional<ServerInfo> find_unsecured_server(const Participant& participant) 
 
 }  // namespace
 
+const char* name_of(v1::ServerState state) noexcept {
+  switch (state) {
+    case suture_v1_SERVER_STARTING:
+      return "starting";
+    case suture_v1_SERVER_RUNNING:
+      return "running";
+    case suture_v1_SERVER_PAUSED:
+      return "paused";
+    case suture_v1_SERVER_STOPPED:
+      return "stopped";
+    case suture_v1_SERVER_LEAVING:
+      return "leaving";
+  }
+  return "unknown";
+}
+
 std::string session_text(std::string_view session) {
   return session.empty() ? "the default session" : "session \"" + std::string(session) + "\"";
 }

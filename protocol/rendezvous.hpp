@@ -17,6 +17,9 @@ namespace suture {
 /// Names a session for people: `session "class-a"`, or `the default session`.
 [[nodiscard]] std::string session_text(std::string_view session);
 
+/// Names the state of a server for people: "running".
+[[nodiscard]] const char* name_of(v1::ServerState state) noexcept;
+
 /// One tool of a server's scene.
 struct ServerTool {
   std::string name;

@@ -18,23 +18,12 @@
 #include <filesystem>
 #include <memory>
 
+#include "protocol/openssl_pointers.hpp"
 #include "suture/error.hpp"
 
 namespace suture {
 namespace {
 
-template <auto Free>
-struct Freed {
-  template <class T>
-  void operator()(T* object) const noexcept {
-    Free(object);
-  }
-};
-using BioPtr = std::unique_ptr<BIO, Freed<BIO_free_all>>;
-using CertificatePtr = std::unique_ptr<X509, Freed<X509_free>>;
-using KeyPtr = std::unique_ptr<EVP_PKEY, Freed<EVP_PKEY_free>>;
-using CrlPtr = std::unique_ptr<X509_CRL, Freed<X509_CRL_free>>;
-using SignedPtr = std::unique_ptr<PKCS7, Freed<PKCS7_free>>;
 using StackPtr = std::unique_ptr<STACK_OF(X509), decltype([](STACK_OF(X509) * stack) {
                                    sk_X509_free(stack);  // what it points to is not its own
                                  })>;
@@ -183,14 +172,16 @@ bool Identity::may_drive(std::string_view tool) const noexcept {
                      [&](const std::string& own) { return own == "*" || own == tool; });
 }
 
-std::string date_text(std::int64_t unix_seconds) {
-  const std::time_t time = unix_seconds;
+std::string utc_text(std::int64_t unix_s, const char* format) {
+  const std::time_t time = unix_s;
   std::tm parts{};
   gmtime_r(&time, &parts);
   char text[32];
-  std::strftime(text, sizeof text, "%Y-%m-%d", &parts);
+  std::strftime(text, sizeof text, format, &parts);
   return text;
 }
+
+std::string date_text(std::int64_t unix_s) { return utc_text(unix_s, "%Y-%m-%d"); }
 
 std::string security_folder(const std::string& chosen) {
   if (!chosen.empty()) return chosen == "off" ? "" : chosen;

@@ -51,6 +51,9 @@ struct Identity {
 /// `SUTURE_SECURITY`; nothing, where neither says or one says "off": unsecured.
 [[nodiscard]] std::string security_folder(const std::string& chosen);
 
+/// Writes a time as UTC, by a format of strftime whose result has at most 31 characters.
+[[nodiscard]] std::string utc_text(std::int64_t unix_s, const char* format);
+
 /// Says for people when keys end: `2027-01-31`.
 [[nodiscard]] std::string date_text(std::int64_t unix_s);
 

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include "client-sdk/xml_text.hpp"
+
 namespace suture::cli {
 namespace {
 
@@ -32,26 +34,6 @@ void append(std::string& svg, const char* format, Values... values) {
   char line[512];
   std::snprintf(line, sizeof line, format, values...);
   svg += line;
-}
-
-std::string escaped(const std::string& text) {
-  std::string result;
-  for (const char c : text) {
-    switch (c) {
-      case '<':
-        result += "&lt;";
-        break;
-      case '>':
-        result += "&gt;";
-        break;
-      case '&':
-        result += "&amp;";
-        break;
-      default:
-        result += c;
-    }
-  }
-  return result;
 }
 
 }  // namespace
@@ -87,7 +69,7 @@ std::string force_plot_svg(std::span<const PlotCurve> curves, std::span<const Pl
          kWidth, kHeight);
   append(svg, "<rect width=\"%g\" height=\"%g\" fill=\"#ffffff\"/>\n", kWidth, kHeight);
   svg += "<text x=\"" + std::to_string(static_cast<int>(kLeft)) +
-         "\" y=\"22\" font-size=\"15\" fill=\"#222\">" + escaped(title) + "</text>\n";
+         "\" y=\"22\" font-size=\"15\" fill=\"#222\">" + xml_escaped(title) + "</text>\n";
   for (double f = 0.0; f <= top_n * (1.0 + 1e-9); f += force_step) {
     append(svg, "<path d=\"M%g %.2fH%g\" stroke=\"#ddd\"/>", kLeft, y(f), kWidth - kRight);
     append(svg, "<text x=\"%g\" y=\"%.2f\" text-anchor=\"end\" fill=\"#444\">%g</text>\n",
@@ -113,7 +95,7 @@ std::string force_plot_svg(std::span<const PlotCurve> curves, std::span<const Pl
     labelled_to = x(mark.time_s) + kLabelWidth;
     append(svg, "<text transform=\"translate(%.2f %g) rotate(-90)\" text-anchor=\"end\" ",
            x(mark.time_s) - 3, kTop + 2);
-    svg += "font-size=\"10\" fill=\"#c0392b\">" + escaped(mark.label) + "</text>\n";
+    svg += "font-size=\"10\" fill=\"#c0392b\">" + xml_escaped(mark.label) + "</text>\n";
   }
   // The envelope: up along the largest values, back along the smallest.
   for (std::size_t i = 0; i < curves.size(); ++i) {
@@ -136,7 +118,7 @@ std::string force_plot_svg(std::span<const PlotCurve> curves, std::span<const Pl
     append(svg, "<path d=\"M%g 34h14\" stroke=\"%s\" stroke-width=\"3\"/>", legend_x,
            kColours[i % kColours.size()]);
     append(svg, "<text x=\"%g\" y=\"38\" fill=\"#444\">", legend_x + 18);
-    svg += escaped(curves[i].label) + "</text>\n";
+    svg += xml_escaped(curves[i].label) + "</text>\n";
     legend_x += 34.0 + 7.0 * static_cast<double>(curves[i].label.size());
   }
   append(svg, "<path d=\"M%g %gV%gH%g\" fill=\"none\" stroke=\"#444\"/>\n</svg>\n", kLeft, kTop,

@@ -30,22 +30,6 @@ struct Row {
   std::uint64_t fault_count = 0;     ///< since start
 };
 
-const char* state_text(suture_v1_ServerState state) {
-  switch (state) {
-    case suture_v1_SERVER_STARTING:
-      return "starting";
-    case suture_v1_SERVER_RUNNING:
-      return "running";
-    case suture_v1_SERVER_PAUSED:
-      return "paused";
-    case suture_v1_SERVER_STOPPED:
-      return "stopped";
-    case suture_v1_SERVER_LEAVING:
-      return "leaving";
-  }
-  return "unknown";
-}
-
 /// What strangers call themselves, without what a terminal would obey.
 std::string printable(std::string_view text) {
   std::string result(text);
@@ -61,7 +45,7 @@ Row row_of(std::uint32_t domain, const v1::ServerStatus& status) {
   row.scene = printable(text_of(status.scene));
   row.host = printable(text_of(status.host));
   row.version = printable(text_of(status.server_version));
-  row.state = state_text(status.state);
+  row.state = name_of(status.state);
   row.pid = status.pid;
   if (status.started_ns > 0)  // else it is about to
     row.uptime_s = 1e-9 * static_cast<double>(status.stamp_ns - status.started_ns);

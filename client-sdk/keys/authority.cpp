@@ -14,31 +14,17 @@
 #include <ctime>
 #include <memory>
 
+#include "protocol/openssl_pointers.hpp"
 #include "suture/error.hpp"
 
 namespace suture::keys {
 namespace {
 
-template <auto Free>
-struct Freed {
-  template <class T>
-  void operator()(T* object) const noexcept {
-    Free(object);
-  }
-};
-using BioPtr = std::unique_ptr<BIO, Freed<BIO_free_all>>;
-using CertificatePtr = std::unique_ptr<X509, Freed<X509_free>>;
 using ExtensionPtr = std::unique_ptr<X509_EXTENSION, Freed<X509_EXTENSION_free>>;
-using KeyPtr = std::unique_ptr<EVP_PKEY, Freed<EVP_PKEY_free>>;
-using CrlPtr = std::unique_ptr<X509_CRL, Freed<X509_CRL_free>>;
 using RevokedPtr = std::unique_ptr<X509_REVOKED, Freed<X509_REVOKED_free>>;
-using SignedPtr = std::unique_ptr<PKCS7, Freed<PKCS7_free>>;
 using NumberPtr = std::unique_ptr<BIGNUM, Freed<BN_free>>;
 using IntegerPtr = std::unique_ptr<ASN1_INTEGER, Freed<ASN1_INTEGER_free>>;
 using TimePtr = std::unique_ptr<ASN1_TIME, Freed<ASN1_TIME_free>>;
-
-// Clocks of a site's machines differ.
-constexpr std::int64_t kSkew_s = 3600;
 
 [[noreturn]] void give_up(const std::string& what) {
   char reason[256] = "";
@@ -146,7 +132,7 @@ KeyPair make_authority(const std::string& title, std::int64_t now_s, int days) {
   add_name(X509_get_subject_name(raw), "O", title);
   add_name(X509_get_subject_name(raw), "CN", title + " authority");
   done(X509_set_issuer_name(raw, X509_get_subject_name(raw)), "making a certificate");
-  set_validity(raw, now_s - kSkew_s, now_s + std::int64_t{days} * 86400);
+  set_validity(raw, now_s - kClockSkew_s, now_s + std::int64_t{days} * 86400);
   add_extension(raw, raw, NID_basic_constraints, "critical,CA:TRUE,pathlen:0");
   add_extension(raw, raw, NID_key_usage, "critical,keyCertSign,cRLSign,digitalSignature");
   add_extension(raw, raw, NID_subject_key_identifier, "hash");
@@ -167,7 +153,7 @@ KeyPair certify(const KeyPair& authority, const std::string& name, const std::st
   add_name(X509_get_subject_name(raw), "O", title);
   add_name(X509_get_subject_name(raw), "CN", name);
   done(X509_set_issuer_name(raw, by), "making a certificate");
-  set_validity(raw, now_s - kSkew_s, expires_s);
+  set_validity(raw, now_s - kClockSkew_s, expires_s);
   add_extension(raw, issuer.get(), NID_basic_constraints, "critical,CA:FALSE");
   add_extension(raw, issuer.get(), NID_key_usage, "critical,digitalSignature,keyAgreement");
   add_extension(raw, issuer.get(), NID_authority_key_identifier, "keyid");
@@ -211,7 +197,7 @@ std::string revocation_list(const KeyPair& authority, const std::vector<std::str
   done(X509_CRL_set_version(list.get(), X509_CRL_VERSION_2), "a list of the revoked");
   done(X509_CRL_set_issuer_name(list.get(), X509_get_subject_name(issuer.get())),
        "a list of the revoked");
-  const TimePtr now = made(TimePtr(ASN1_TIME_set(nullptr, now_s - kSkew_s)), "a date");
+  const TimePtr now = made(TimePtr(ASN1_TIME_set(nullptr, now_s - kClockSkew_s)), "a date");
   done(X509_CRL_set1_lastUpdate(list.get(), now.get()), "a list of the revoked");
   // A list that ends would lock everybody out: it holds as long as the authority does.
   done(X509_CRL_set1_nextUpdate(list.get(), X509_get0_notAfter(issuer.get())),

@@ -8,6 +8,9 @@
 
 namespace suture::keys {
 
+/// Clocks of a site's machines differ: what is given holds from so long before, seconds.
+inline constexpr std::int64_t kClockSkew_s = 3600;
+
 /// A private key and its certificate, as PEM.
 struct KeyPair {
   std::string key;
@@ -21,7 +24,7 @@ struct KeyPair {
 /// Returns a new serial number, 128 random bits as hexadecimal digits.
 [[nodiscard]] std::string make_serial();
 
-/// Returns a new key, certified by `authority` for `name` from an hour before `now_s`
+/// Returns a new key, certified by `authority` for `name` from `kClockSkew_s` before `now_s`
 /// until `expires_s`.
 [[nodiscard]] KeyPair certify(const KeyPair& authority, const std::string& name,
                               const std::string& serial, std::int64_t now_s,

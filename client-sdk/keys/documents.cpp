@@ -2,10 +2,11 @@
 #include "keys/documents.hpp"
 
 #include <algorithm>
-#include <ctime>
 #include <set>
 #include <string_view>
 
+#include "client-sdk/xml_text.hpp"
+#include "keys/authority.hpp"
 #include "protocol/security.hpp"
 #include "protocol/topics.hpp"
 
@@ -55,34 +56,7 @@ Topics topics_of(const Rights& rights) {
   return topics;
 }
 
-std::string escaped(std::string_view text) {
-  std::string result;
-  for (const char c : text) {
-    switch (c) {
-      case '&':
-        result += "&amp;";
-        break;
-      case '<':
-        result += "&lt;";
-        break;
-      case '>':
-        result += "&gt;";
-        break;
-      default:
-        result += c;
-    }
-  }
-  return result;
-}
-
-std::string date(std::int64_t unix_s) {
-  const std::time_t time = unix_s;
-  std::tm parts{};
-  gmtime_r(&time, &parts);
-  char text[32];
-  std::strftime(text, sizeof text, "%Y-%m-%dT%H:%M:%SZ", &parts);
-  return text;
-}
+std::string date(std::int64_t unix_s) { return utc_text(unix_s, "%Y-%m-%dT%H:%M:%SZ"); }
 
 std::string domains(const Rights& rights) {
   const int first = std::max(rights.domain, 0);
@@ -104,7 +78,8 @@ std::string criteria(const char* kind, const std::set<std::string>& topics,
   std::string xml = std::string("<") + kind + "><topics>";
   for (const std::string& name : topics) xml += "<topic>" + name + "</topic>";
   xml += "</topics><partitions>";
-  for (const std::string& name : partitions) xml += "<partition>" + escaped(name) + "</partition>";
+  for (const std::string& name : partitions)
+    xml += "<partition>" + xml_escaped(name) + "</partition>";
   return xml + "</partitions></" + kind + ">\n";
 }
 
@@ -151,9 +126,10 @@ std::string permissions_xml(const std::string& subject, const Rights& rights, st
   }
   return "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<dds><permissions><grant name=\"holder\">\n"
          "<subject_name>" +
-         escaped(subject) + "</subject_name>\n<validity><not_before>" + date(now_s - 3600) +
-         "</not_before><not_after>" + date(expires_s) + "</not_after></validity>\n<allow_rule>" +
-         domains(rights) + "\n" + criteria("publish", topics.written, writes_in) +
+         xml_escaped(subject) + "</subject_name>\n<validity><not_before>" +
+         date(now_s - kClockSkew_s) + "</not_before><not_after>" + date(expires_s) +
+         "</not_after></validity>\n<allow_rule>" + domains(rights) + "\n" +
+         criteria("publish", topics.written, writes_in) +
          criteria("subscribe", topics.read, sessions(rights)) +
          "</allow_rule>\n<default>DENY</default>\n</grant></permissions></dds>\n";
 }

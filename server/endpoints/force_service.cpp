@@ -14,6 +14,7 @@ ForceService::ForceService(const suture::Participant& participant,
   for (const ServedTool& tool : tools) {
     auto line = std::make_unique<Line>();
     line->tool_id = suture::tool_id(tool.name);
+    line->right = std::uint64_t{1} << lines_.size();  // a scene has at most eight tools
     line->partition = suture::tool_partition(tool.name);
     line->channel = tool.channel;
     lines_.push_back(std::move(line));
@@ -49,7 +50,7 @@ void ForceService::on_poses() noexcept {
     }
     Line& line = *found;
     const KnownWriter* const writer = remember(info.writer);
-    if (secured_ && (writer == nullptr || !may_drive(*writer, line))) {
+    if (secured_ && (writer == nullptr || (writer->rights & line.right) == 0)) {
       strangers_.fetch_add(1, std::memory_order_relaxed);
       continue;
     }
@@ -131,12 +132,6 @@ void ForceService::send(const Line& line, const haptics::ForceSample& force) noe
   forces_.write(wire);
 }
 
-bool ForceService::may_drive(const KnownWriter& writer, const Line& line) const noexcept {
-  for (std::size_t i = 0; i < lines_.size(); ++i)
-    if (lines_[i].get() == &line) return (writer.rights >> i & 1U) != 0;
-  return false;
-}
-
 std::uint64_t ForceService::rights_of(std::uint64_t writer) const {
   const std::vector<std::string> partitions = poses_.writer_partitions(writer);
   const auto in = [&](const std::string& name) {
@@ -144,8 +139,8 @@ std::uint64_t ForceService::rights_of(std::uint64_t writer) const {
   };
   std::uint64_t rights = 0;
   const bool every = in(suture::tool_partition("*"));
-  for (std::size_t i = 0; i < lines_.size() && i < 64; ++i)
-    if (every || in(lines_[i]->partition)) rights |= std::uint64_t{1} << i;
+  for (const auto& line : lines_)
+    if (every || in(line->partition)) rights |= line->right;
   return rights;
 }
 

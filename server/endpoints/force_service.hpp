@@ -75,7 +75,8 @@ class ForceService {
  private:
   struct Line {
     std::uint64_t tool_id = 0;
-    std::string partition;  // of those who may drive it
+    std::uint64_t right = 0;  // its bit of KnownWriter::rights
+    std::string partition;    // of those who may drive it
     haptics::ToolChannel* channel = nullptr;
     // Receive thread: of the last ToolRendered, whose writer it was and for which lease it
     // was looked at, and whether both are of one participant.
@@ -87,14 +88,13 @@ class ForceService {
   struct KnownWriter {
     std::atomic<std::uint64_t> handle{0};
     std::array<std::atomic<std::uint64_t>, 2> guid{};
-    std::uint64_t rights = 0;  // receive thread: bit i, that it may drive tool i
+    std::uint64_t rights = 0;  // receive thread: Line::right of each tool that it may drive
   };
 
   void on_poses() noexcept;
   void on_rendered() noexcept;
   void on_commands() noexcept;
   Line* line_of(std::uint64_t tool_id) noexcept;
-  [[nodiscard]] bool may_drive(const KnownWriter& writer, const Line& line) const noexcept;
   [[nodiscard]] std::uint64_t rights_of(std::uint64_t writer) const;
   void set_stopped(bool stopped) noexcept;
   /// Returns what is known of a writer; null where it has left.

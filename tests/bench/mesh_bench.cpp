@@ -106,18 +106,7 @@ void measure_mesh(Figures& figures) {
     throw std::runtime_error("only " + std::to_string(seen_hz) +
                              " frames a second reached the viewer: nothing to compare");
   figures.add("mesh_frames_hz", seen_hz, "Hz");
-  figures.add("roundtrip_with_mesh_answered_percent", Turns::answered_percent(turns.with_us), "%");
-  figures.add("roundtrip_without_mesh_answered_percent", Turns::answered_percent(turns.without_us),
-              "%");
-  const double with_p50 = quantile(turns.with_us, 0.5), with_p99 = quantile(turns.with_us, 0.99);
-  const double without_p50 = quantile(turns.without_us, 0.5),
-               without_p99 = quantile(turns.without_us, 0.99);
-  figures.add("roundtrip_with_mesh_us.p50", with_p50, "us");
-  figures.add("roundtrip_with_mesh_us.p99", with_p99, "us");
-  figures.add("roundtrip_without_mesh_us.p50", without_p50, "us");
-  figures.add("roundtrip_without_mesh_us.p99", without_p99, "us");
-  figures.add("roundtrip_with_mesh_over_without.p50", with_p50 / without_p50, "x");
-  figures.add("roundtrip_with_mesh_over_without.p99", with_p99 / without_p99, "x", 1.3);
+  add(figures, turns, "roundtrip", "mesh", 1.3);
 }
 
 }  // namespace sutured::bench

@@ -62,4 +62,20 @@ Turns play_in_turns(const suture::SurgeonTrack& track, Pinger& hand,
   return turns;
 }
 
+void add(Figures& figures, Turns& turns, const std::string& what, const std::string& beside,
+         double budget) {
+  const std::string with = what + "_with_" + beside, without = what + "_without_" + beside;
+  figures.add(with + "_answered_percent", Turns::answered_percent(turns.with_us), "%");
+  figures.add(without + "_answered_percent", Turns::answered_percent(turns.without_us), "%");
+  const double with_p50 = quantile(turns.with_us, 0.5), with_p99 = quantile(turns.with_us, 0.99);
+  const double without_p50 = quantile(turns.without_us, 0.5),
+               without_p99 = quantile(turns.without_us, 0.99);
+  figures.add(with + "_us.p50", with_p50, "us");
+  figures.add(with + "_us.p99", with_p99, "us");
+  figures.add(without + "_us.p50", without_p50, "us");
+  figures.add(without + "_us.p99", without_p99, "us");
+  figures.add(with + "_over_without.p50", with_p50 / without_p50, "x");
+  figures.add(with + "_over_without.p99", with_p99 / without_p99, "x", budget);
+}
+
 }  // namespace sutured::bench

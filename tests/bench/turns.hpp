@@ -5,8 +5,10 @@
 #include <signal.h>
 
 #include <initializer_list>
+#include <string>
 #include <vector>
 
+#include "bench/figures.hpp"
 #include "bench/pinger.hpp"
 #include "protocol/surgeon.hpp"
 #include "support/process.hpp"
@@ -33,6 +35,11 @@ struct Turns {
 /// nobody answers.
 [[nodiscard]] Turns play_in_turns(const suture::SurgeonTrack& track, Pinger& hand,
                                   const testing::Process& beside);
+
+/// Adds the figures of `turns`, `WHAT_with_BESIDE_us.p99` and so on; the budget is of the ratio of
+/// the 99th percentiles.
+void add(Figures& figures, Turns& turns, const std::string& what, const std::string& beside,
+         double budget);
 
 /// Returns a set of signals.
 [[nodiscard]] inline sigset_t signals(std::initializer_list<int> numbers) {

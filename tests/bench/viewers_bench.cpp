@@ -88,18 +88,7 @@ void measure_viewers(Figures& figures) {
     throw std::runtime_error("a viewer got only " + std::to_string(each_hz) +
                              " frames a second: nothing to compare");
   figures.add("viewer_frames_hz.v50", each_hz, "Hz");
-  figures.add("force_with_viewers_answered_percent", Turns::answered_percent(turns.with_us), "%");
-  figures.add("force_without_viewers_answered_percent", Turns::answered_percent(turns.without_us),
-              "%");
-  const double with_p50 = quantile(turns.with_us, 0.5), with_p99 = quantile(turns.with_us, 0.99);
-  const double without_p50 = quantile(turns.without_us, 0.5);
-  const double without_p99 = quantile(turns.without_us, 0.99);
-  figures.add("force_with_viewers_us.p50", with_p50, "us");
-  figures.add("force_with_viewers_us.p99", with_p99, "us");
-  figures.add("force_without_viewers_us.p50", without_p50, "us");
-  figures.add("force_without_viewers_us.p99", without_p99, "us");
-  figures.add("force_with_viewers_over_without.p50", with_p50 / without_p50, "x");
-  figures.add("force_with_viewers_over_without.p99", with_p99 / without_p99, "x", 1.2);
+  add(figures, turns, "force", "viewers", 1.2);
 }
 
 }  // namespace sutured::bench

@@ -26,6 +26,7 @@
 #include "integration/serve/raw_device.hpp"
 #include "scene/scene_reader.hpp"
 #include "simulation/simulation.hpp"
+#include "support/client_options.hpp"
 #include "support/pressed_block.hpp"
 #include "support/process.hpp"
 #include "support/test_session.hpp"
@@ -194,11 +195,7 @@ class Bench {
   FeltDevice& device() { return *device_; }
   [[nodiscard]] const suture::ParticipantOptions& session() const { return session_; }
   [[nodiscard]] suture::SessionOptions viewer_options() const {
-    suture::SessionOptions options;
-    options.domain = session_.domain;
-    options.session = session_.session;
-    options.timeout = std::chrono::seconds(20);
-    return options;
+    return testing::client_options(session_);
   }
   void await_whole() {
     if (!eventually([this] { return whole(device_->last()); }))

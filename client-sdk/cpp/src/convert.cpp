@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "convert.hpp"
 
+#include "protocol/rendezvous.hpp"
+
 namespace suture {
 namespace {
 
@@ -66,22 +68,6 @@ const char* name_of(v1::EventKind kind) noexcept {
       return "checkpoint";
     case suture_v1_EVENT_REWOUND:
       return "rewound";
-  }
-  return "unknown";
-}
-
-const char* name_of(v1::ServerState state) noexcept {
-  switch (state) {
-    case suture_v1_SERVER_STARTING:
-      return "starting";
-    case suture_v1_SERVER_RUNNING:
-      return "running";
-    case suture_v1_SERVER_PAUSED:
-      return "paused";
-    case suture_v1_SERVER_STOPPED:
-      return "stopped";
-    case suture_v1_SERVER_LEAVING:
-      return "leaving";
   }
   return "unknown";
 }

@@ -20,6 +20,7 @@
 
 #include "integration/serve/raw_device.hpp"
 #include "protocol/surgeon.hpp"
+#include "support/client_options.hpp"
 #include "support/pressed_block.hpp"
 #include "support/process.hpp"
 #include "support/temporary_folder.hpp"
@@ -175,11 +176,7 @@ class Serve : public ::testing::Test {
   }
 
   [[nodiscard]] suture::SessionOptions session_options() const {
-    suture::SessionOptions options;
-    options.domain = session_.domain;
-    options.session = session_.session;
-    options.timeout = std::chrono::seconds(20);
-    return options;
+    return testing::client_options(session_);
   }
 
   suture::ParticipantOptions session_ = testing::own_session();

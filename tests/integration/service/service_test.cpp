@@ -7,6 +7,7 @@
 #include <sstream>
 
 #include "protocol/rendezvous.hpp"
+#include "support/client_options.hpp"
 #include "support/halted_thread.hpp"
 #include "support/notify_socket.hpp"
 #include "support/pressed_block.hpp"
@@ -42,11 +43,7 @@ class Service : public ::testing::Test {
             session_.session};
   }
   [[nodiscard]] suture::SessionOptions session_options() const {
-    suture::SessionOptions options;
-    options.domain = session_.domain;
-    options.session = session_.session;
-    options.timeout = std::chrono::seconds(20);
-    return options;
+    return testing::client_options(session_);
   }
   bool watchdog_comes() {
     return eventually([this] { return notify_.receive().find(kWatchdog) != std::string::npos; });

@@ -12,6 +12,7 @@
 #include "keys/site.hpp"
 #include "protocol/participant.hpp"
 #include "protocol/security.hpp"
+#include "support/fault_of.hpp"
 #include "support/temporary_folder.hpp"
 #include "support/test_session.hpp"
 
@@ -19,6 +20,7 @@ namespace suture::keys {
 namespace {
 
 namespace fs = std::filesystem;
+using sutured::testing::fault_of;
 using sutured::testing::read_file;
 using sutured::testing::TemporaryFolder;
 using ::testing::ElementsAre;
@@ -31,17 +33,6 @@ mode_t mode_of(const fs::path& path) {
   struct stat facts {};
   EXPECT_EQ(::stat(path.c_str(), &facts), 0) << path;
   return facts.st_mode & 07777;
-}
-
-/// What an error says: cause, then mend; empty where there is none.
-std::string fault_of(const std::function<void()>& work) {
-  try {
-    work();
-    return "";
-  } catch (const Error& error) {
-    EXPECT_FALSE(error.mend().empty()) << error.cause();
-    return error.what();
-  }
 }
 
 class Keys : public ::testing::Test {

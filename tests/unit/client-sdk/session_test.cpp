@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include "protocol/rendezvous.hpp"
+#include "support/client_options.hpp"
 #include "support/spring_server.hpp"
 #include "support/test_session.hpp"
 
@@ -15,11 +16,7 @@ using sutured::testing::own_session;
 using sutured::testing::SpringServer;
 
 SessionOptions session_options() {
-  SessionOptions options;
-  options.domain = own_session().domain;
-  options.session = own_session().session;
-  options.timeout = std::chrono::seconds(10);
-  return options;
+  return sutured::testing::client_options(own_session(), std::chrono::seconds(10));
 }
 
 SpringServer::Options server_options() {

@@ -5,13 +5,14 @@
 #include <gtest/gtest.h>
 
 #include <cstdlib>
-#include <functional>
 
+#include "support/fault_of.hpp"
 #include "suture/error.hpp"
 
 namespace suture {
 namespace {
 
+using sutured::testing::fault_of;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::Not;
@@ -28,16 +29,6 @@ std::string outside() {
     }
   }
   return "";
-}
-
-std::string fault_of(const std::function<void()>& work) {
-  try {
-    work();
-    return "";
-  } catch (const Error& error) {
-    EXPECT_FALSE(error.mend().empty()) << error.cause();
-    return error.what();
-  }
 }
 
 TEST(Network, IsThisMachineWhereNobodySaysOtherwise) {
