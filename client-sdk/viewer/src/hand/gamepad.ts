@@ -12,7 +12,7 @@ const kDrive_m_per_s = 0.008;
 const kSlow = 0.75;
 const kRumble_ms = 120;
 const kRumblePeriod_ms = 90;
-const kQuiet = 0.02;
+const kQuiet = 0.004; // a needle pierces a wall at a fiftieth of what its driver can give
 
 const [kA, kB, kLeftShoulder, kRightShoulder, kLeftTrigger, kRightTrigger, kStart] = [0, 1, 4, 5, 6, 7, 9];
 
