@@ -278,11 +278,11 @@ describe("the viewer", { timeout: 240_000 }, () => {
     await opened.getByRole("heading", { name: "Connection lost" }).waitFor();
     const warm = await pixels(opened, tissue);
     assert.ok(warm.left > 0.04, "the last picture stays");
+    await figure(opened, "Frames", (value) => value === 0);  // so that those to come are the new server's
 
     server = await Server.start({ port: server.port });
     await opened.waitForSelector('html[data-connection="open"]', { state: "attached" });
     await opened.locator("#overlay").waitFor({ state: "hidden" });
-    await figure(opened, "Frames", (value) => value === 0);
     await figure(opened, "Frames", (value) => value > 0);
     assert.deepEqual(context[0].faults, []);
   });
