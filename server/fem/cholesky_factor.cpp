@@ -625,13 +625,18 @@ void CholeskyFactor::inverse_blocks(std::span<const PathColumns* const> a,
 void CholeskyFactor::Impl::accumulate(std::span<const PathLoad> loads, int share) const {
   for (const PathLoad& load : loads) {
     const PathColumns& columns = *load.columns;
-    for (std::int32_t s = columns.first_supernode; s >= 0;
-         s = parent[static_cast<std::size_t>(s)]) {
-      const auto i = static_cast<std::size_t>(s);
-      if (share_of[i] != share) continue;
-      add_three_columns(columns.value.data() + (columns.length - columns_to_root[i]),
-                        columns.length, load.force_n.data(), super()[i + 1] - super()[i],
-                        unknowns.data() + super()[i]);
+    for (std::int32_t s = columns.first_supernode; s >= 0;) {
+      const auto first = static_cast<std::size_t>(s);
+      // What follows on a path often lies next in L, too: one sum for all of it.
+      std::int64_t end = super()[first + 1];
+      for (s = parent[first];
+           s >= 0 && super()[s] == end && share_of[static_cast<std::size_t>(s)] == share_of[first];
+           s = parent[static_cast<std::size_t>(s)])
+        end = super()[s + 1];
+      if (share_of[first] != share) continue;
+      add_three_columns(columns.value.data() + (columns.length - columns_to_root[first]),
+                        columns.length, load.force_n.data(), end - super()[first],
+                        unknowns.data() + super()[first]);
     }
   }
 }
