@@ -5,7 +5,7 @@ SHELL := /bin/bash
 
 BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
   libopenblas-serial-dev libsuitesparse-dev libeigen3-dev \
-  cyclonedds-dev cyclonedds-tools libboost1.81-dev libssl-dev libspdlog-dev \
+  cyclonedds-dev cyclonedds-tools libboost1.81-dev libboost-url1.81-dev libssl-dev libspdlog-dev \
   libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev libzstd-dev libsystemd-dev
 PICTURE_PACKAGES := python3-matplotlib python3-numpy
 TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev libpng-dev calculix-ccx iproute2 openssl systemd \

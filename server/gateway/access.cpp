@@ -8,6 +8,7 @@
 #include <toml++/toml.h>
 #include <algorithm>
 #include <array>
+#include <boost/url/parse_query.hpp>
 #include <sstream>
 
 #include "geometry/regular_file.hpp"
@@ -34,24 +35,22 @@ std::string host_of(std::string_view authority) {
   return lower(authority.substr(0, authority.find(':')));
 }
 
-// The value of `name` in `a=b&c=d`. Tokens are of letters and digits that need no escape.
-std::string_view parameter(std::string_view query, std::string_view name) noexcept {
-  while (!query.empty()) {
-    const std::size_t end = query.find('&');
-    const std::string_view pair = query.substr(0, end);
-    if (pair.starts_with(name) && pair.size() > name.size() && pair[name.size()] == '=')
-      return pair.substr(name.size() + 1);
-    if (end == std::string_view::npos) break;
-    query.remove_prefix(end + 1);
-  }
-  return {};
+// The value of `token` in `a=b&token=d`, as a form encodes it; empty where there is none.
+std::string token_in(std::string_view query) {
+  const auto parameters = boost::urls::parse_query(query);
+  if (!parameters) return {};
+  const auto found = parameters->find("token");
+  if (found == parameters->end()) return {};
+  boost::urls::encoding_opts form;
+  form.space_as_plus = true;
+  return (*found).value.decode(form);
 }
 
-std::string_view token_of(const Request& request) noexcept {
+std::string token_of(const Request& request) {
   constexpr std::string_view kBearer = "Bearer ";
-  if (std::string_view(request.authorization).starts_with(kBearer))
-    return std::string_view(request.authorization).substr(kBearer.size());
-  return parameter(request.query, "token");
+  if (request.authorization.starts_with(kBearer))
+    return request.authorization.substr(kBearer.size());
+  return token_in(request.query);
 }
 
 [[noreturn]] void refuse_file(const std::filesystem::path& file, const toml::source_region& place,
@@ -189,7 +188,7 @@ std::optional<Grant> Access::grant(const Request& request) const {
     everything.rights.command = everything.rights.drive_all = true;
     return everything;
   }
-  const std::string_view text = token_of(request);
+  const std::string text = token_of(request);
   if (text.empty()) return std::nullopt;
   const Token* token = find(sha256_hex(text));
   if (token == nullptr) return std::nullopt;

@@ -124,6 +124,16 @@ TEST_F(TokenFile, GivesTheRightsOfTheToken) {
   EXPECT_FALSE(access.grant(with("token=" + sha256_hex("s3cret")))) << "the hash is no token";
 }
 
+TEST_F(TokenFile, ATokenInALinkIsDecoded) {
+  write(token("ward", "a+b/c= d%", "[]"));
+  const Access access({"192.0.2.1", path_, {}, true});
+  EXPECT_TRUE(access.grant(with("token=a%2Bb%2Fc%3D+d%25")));
+  EXPECT_TRUE(access.grant(with("token=a%2bb/c=%20d%25&x")));
+  EXPECT_TRUE(access.grant(with("", "Bearer a+b/c= d%"))) << "a header's is not encoded";
+  for (const char* query : {"token=a+b/c=+d%25", "token=a%2Bb%2Fc%3D+d%", "token=%zz", "token=%2"})
+    EXPECT_FALSE(access.grant(with(query))) << query;
+}
+
 TEST_F(TokenFile, IsReadAgainWhereItChanges) {
   write(token("ward", "s3cret", "[]"));
   Access access({"192.0.2.1", path_, {}, true});
