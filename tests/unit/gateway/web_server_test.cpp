@@ -80,5 +80,90 @@ TEST_F(WebServerTest, ATaskThatFailsIsRunAgain) {
   EXPECT_EQ(told().size(), 1U);
 }
 
+/// Has always something to send, or never.
+class Talker : public WebClient {
+ public:
+  explicit Talker(bool talks) : talks_(talks) {}
+  void on_text(std::string_view) override {}
+  void on_binary(std::span<const std::byte>) override {}
+  std::optional<Outgoing> next() override {
+    if (!talks_) return std::nullopt;
+    return Outgoing{true, std::string(60'000, 'x'), {}};
+  }
+  [[nodiscard]] std::optional<Close> closing() const override { return std::nullopt; }
+
+ private:
+  bool talks_;
+};
+
+/// A server that waits a second for a sign of life, and then as long for the answer to a ping.
+class PatienceTest : public ::testing::Test {
+ protected:
+  PatienceTest() {
+    thread_ = std::thread([this] { server_.run(); });
+  }
+  ~PatienceTest() override {
+    server_.stop();
+    thread_.join();
+  }
+  [[nodiscard]] std::uint64_t open_connections() {
+    std::promise<std::uint64_t> told;
+    server_.post([&] { told.set_value(server_.counters().connections_open); });
+    return told.get_future().get();
+  }
+  [[nodiscard]] testing::TcpClient connect(const std::string& path, int receive_buffer = 0) {
+    testing::TcpClient client(server_.port(), receive_buffer);
+    client.send("GET " + path +
+                " HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+                "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n");
+    return client;
+  }
+
+  static WebServer::Options impatient() {
+    WebServer::Options options;
+    options.idle_patience = std::chrono::seconds(1);
+    return options;
+  }
+
+  WebServer server_{
+      impatient(),
+      {.get = [](const Request&) { return plain_reply(404, "no"); },
+       .open =
+           [](const Request& request) {
+             return WebServer::Accepted{std::make_shared<Talker>(request.path == "/talks"), ""};
+           }}};
+  std::thread thread_;
+};
+
+TEST_F(PatienceTest, AClientThatReadsNothingIsLetGo) {
+  const testing::TcpClient stalled = connect("/talks", 4096);
+  ASSERT_TRUE(eventually([&] { return open_connections() == 1; }));
+  EXPECT_TRUE(eventually([&] { return open_connections() == 0; }))
+      << "its connection stays, with what waits to be sent";
+}
+
+TEST_F(PatienceTest, AClientThatAnswersNoPingIsLetGo) {
+  const testing::TcpClient mute = connect("/silent");
+  std::string heard;
+  while (mute.receive(heard)) {
+  }
+  EXPECT_THAT(heard, HasSubstr("101 Switching Protocols"));
+  EXPECT_THAT(heard, HasSubstr("\x89")) << "it was asked first";
+  EXPECT_TRUE(eventually([&] { return open_connections() == 0; }));
+}
+
+TEST_F(PatienceTest, AClientThatAnswersPingsStays) {
+  const testing::TcpClient quiet = connect("/silent");
+  std::string heard;
+  for (int pings = 0; pings < 3;) {  // more than any one patience lasts
+    ASSERT_TRUE(quiet.receive(heard)) << "let go after " << pings << " pings";
+    for (std::size_t ping; (ping = heard.find('\x89')) != std::string::npos; ++pings) {
+      heard.erase(0, ping + 1);
+      quiet.send(testing::web_frame(0x8A, {}));
+    }
+  }
+  EXPECT_EQ(open_connections(), 1U);
+}
+
 }  // namespace
 }  // namespace sutured::gateway
