@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "keys/site.hpp"
 #include "support/process.hpp"
 #include "support/temporary_folder.hpp"
 #include "support/test_session.hpp"
@@ -123,6 +124,48 @@ TEST_F(Refusals, ARevokedIdentityIsRefusedByWhoKnows) {
   EXPECT_EQ(suture({"top", "--once"}, folder_.path("stolen")).code, 3);
   EXPECT_THAT(server_->read_until("CN=viewer"), HasSubstr("revoked"));
   EXPECT_THAT(keys({"list", site_}).text, HasSubstr("revoked"));
+}
+
+TEST_F(Refusals, WhoIsRevokedWhileTheServerRunsIsRefusedOnceItStartsAgain) {
+  serve(folder("server"));
+  std::filesystem::copy(folder("viewer"), folder_.path("stolen"));
+  EXPECT_EQ(suture({"top", "--once", "--timeout", "30"}, folder_.path("stolen")).code, 0);
+  EXPECT_EQ(keys({"revoke", site_, "viewer"}).code, 0);
+  server_->send(SIGTERM);
+  server_->wait();
+  serve(folder("server"));
+  EXPECT_EQ(suture({"top", "--once"}, folder_.path("stolen")).code, 3);
+  EXPECT_THAT(server_->read_until("CN=viewer"), HasSubstr("revoked"));
+  const Said others = suture({"top", "--once", "--timeout", "30"}, folder("teacher"));
+  EXPECT_EQ(others.code, 0) << others.text;
+}
+
+// What runs out ends what runs, on both sides, and new keys are let in by the same server.
+TEST_F(Refusals, KeysThatExpireEndTheConnection) {
+  serve(folder("server"));
+  const std::string brief =
+      suture::keys::Site(site_).add("brief", {{suture::keys::Role::kDevice}, {"driver"}, -1, ""},
+                                    /*seconds=*/10);
+  const std::string hands = folder_.write("hands.csv",
+                                          "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw\n"
+                                          "0,driver,0,0,0.05,0,0,0,1,0\n"
+                                          "600,driver,0,0,0.05,0,0,0,1,0\n");
+  const Said said = suture({"device", "--surgeon", hands}, brief);
+  EXPECT_EQ(said.code, 3) << said.text;
+  EXPECT_THAT(said.text, HasSubstr("rendering")) << "it was never served";
+  EXPECT_THAT(said.text, HasSubstr("server_silent"));
+  EXPECT_THAT(said.text, HasSubstr("the server has not answered"));
+  const Said expired = suture({"top", "--once"}, brief);
+  EXPECT_EQ(expired.code, 6) << expired.text;
+  EXPECT_THAT(expired.text, HasSubstr("expired"));
+
+  EXPECT_EQ(keys({"renew", site_, "brief"}).code, 0);
+  const std::string glance = folder_.write("glance.csv",
+                                           "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw\n"
+                                           "0,driver,0,0,0.05,0,0,0,1,0\n"
+                                           "0.3,driver,0,0,0.05,0,0,0,1,0\n");
+  const Said renewed = suture({"device", "--surgeon", glance, "--timeout", "30"}, brief);
+  EXPECT_EQ(renewed.code, 0) << renewed.text;
 }
 
 TEST_F(Refusals, AnUnsecuredServerIsNamedSo) {
