@@ -54,11 +54,16 @@ class Folder {
     return bio;
   }
 
-  /// Refuses a key that others may read: whoever read it already is its holder as well.
+  /// Refuses a key that others may read: whoever read it already is its holder as well. systemd
+  /// hands a service its credentials by an access control list, whose mask shows as the group's
+  /// bits; the folder is the service's own.
   void check_key_is_private() const {
     struct stat facts {};
     const std::string path = file(key_files::kKey);
-    if (::stat(path.c_str(), &facts) != 0 || (facts.st_mode & 077) == 0) return;
+    const char* const credentials = std::getenv("CREDENTIALS_DIRECTORY");
+    const bool handed_in = credentials != nullptr && path_ == credentials;
+    const mode_t others = handed_in ? S_IRWXO : S_IRWXG | S_IRWXO;
+    if (::stat(path.c_str(), &facts) != 0 || (facts.st_mode & others) == 0) return;
     refuse("the private key " + path + " is open to others",
            "`chmod 600 " + path + "`, and where others may have read it, `suture keys renew` it");
   }

@@ -136,6 +136,23 @@ if [ -n "$leader" ] && booted systemctl is-active --quiet multi-user.target; the
   booted journalctl --no-pager -p err -u $unit | grep -q 'sutured.toml:1:8: ' || fail "no place of a bad option"
   [ "$(property ActiveState)" = failed ] || fail "a bad option is tried again"
   booted systemd-analyze security --no-pager $unit | tail -n 1
+  # Keys that only root may read, handed in to a second service.
+  unit=sutured@secured
+  booted suture keys init /job/site --title packages >/dev/null
+  booted suture keys add /job/site server --role server >/dev/null
+  booted suture keys add /job/site viewer --role viewer >/dev/null
+  mkdir "$root/etc/systemd/system/$unit.service.d"
+  (echo "[Service]" && cd "$root/job/site/identities/server" && for file in *; do
+    echo "LoadCredential=$file:/job/site/identities/server/$file"; done) >"$root/etc/systemd/system/$unit.service.d/keys.conf"
+  cat "$root/job/sutured.toml" - >"$root/etc/sutured/sutured.toml" <<TOML
+[server.secured]
+scene = "anastomosis"
+security = "/run/credentials/$unit.service"
+TOML
+  booted systemctl daemon-reload
+  booted systemctl start $unit || { booted journalctl --no-pager -u $unit; fail "a service with keys does not start"; }
+  booted suture sessions --domain $domain --security /job/site/identities/viewer | grep -q '^secured .* running ' || fail "a secured session is not listed"
+  booted systemctl stop $unit
   cp "$root/job/shipped.toml" "$root/etc/sutured/sutured.toml"
   kill -KILL "$leader"
 else

@@ -79,6 +79,18 @@ TEST_F(Keys, AKeyOpenToOthersIsRefusedWithTheMend) {
   EXPECT_THAT(fault_of([&] { add("right", device("probe")); }), HasSubstr("open to others"));
 }
 
+TEST_F(Keys, AServiceMayBeHandedItsKeyByAnAccessList) {
+  const fs::path folder = add("left", device("driver"));
+  const fs::path other = add("right", device("probe"));
+  for (const fs::path& each : {folder, other}) ::chmod((each / key_files::kKey).c_str(), 0440);
+  ::setenv("CREDENTIALS_DIRECTORY", folder.c_str(), 1);
+  EXPECT_EQ(fault_in(folder), "") << "the list's mask shows as the group's bits";
+  EXPECT_THAT(fault_in(other), HasSubstr("open to others"));
+  ::chmod((folder / key_files::kKey).c_str(), 0444);
+  EXPECT_THAT(fault_in(folder), HasSubstr("open to others"));
+  ::unsetenv("CREDENTIALS_DIRECTORY");
+}
+
 TEST_F(Keys, WhatIsRefusedLeavesTheSiteAsItWas) {
   add("left", device("driver"));
   const std::string before = read_file(site_ + "/register.json");
