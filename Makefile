@@ -98,7 +98,7 @@ install: build ## Install commands, SDK and licences below PREFIX
 .PHONY: deb
 deb: deps-build viewer ## Build the Debian packages: build/packages
 	$(call install-packages,$(DEB_PACKAGES))
-	@export DEB_RULES_REQUIRES_ROOT=no CCACHE_DIR="$$(ccache --get-config cache_dir)"; \
+	@export DEB_RULES_REQUIRES_ROOT=no DEB_BUILD_OPTIONS="parallel=$$(nproc)" CCACHE_DIR="$$(ccache --get-config cache_dir)"; \
 	  debian/rules clean >/dev/null && rm -rf build/packages && mkdir -p build/packages && debian/rules binary >build/packages.log 2>&1 || \
 	  { tail -n 30 build/packages.log; echo "all of it: build/packages.log"; exit 1; }
 	@lintian --fail-on error build/packages/*.deb
