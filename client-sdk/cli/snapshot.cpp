@@ -4,12 +4,15 @@
 #include <array>
 #include <cstdio>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string_view>
+#include <system_error>
+#include <vector>
 
 #include "chromium.hpp"
 #include "commands.hpp"
+#include "protocol/whole_file.hpp"
 #include "suture/error.hpp"
-#include "whole_file.hpp"
 
 namespace suture::cli {
 namespace {
@@ -164,13 +167,26 @@ std::vector<std::byte> picture_of(Chromium& browser, const SnapshotArguments& ar
 int run_snapshot(const SnapshotArguments& arguments) {
   static_cast<void>(link_to(arguments));  // a faulty address is told before the browser is sought
   const std::string program = find_chromium(arguments.browser);
-  WholeFile file(arguments.file);
+  std::optional<WholeFile> file;
+  const auto written = [&arguments](auto&& step) {
+    try {
+      step();
+    } catch (const std::system_error& error) {
+      throw Error(ErrorCode::kBadInput, error.what(),
+                  "name a file in a folder that is there and yours");
+    }
+  };
+  written([&] { file.emplace(arguments.file, 0666); });
   const auto patience =
       std::chrono::milliseconds(static_cast<std::int64_t>(arguments.timeout_s * 1000.0));
   try {
     Chromium browser(program, Chromium::Clock::now() + patience);
     try {
-      file.commit(picture_of(browser, arguments));
+      const std::vector<std::byte> picture = picture_of(browser, arguments);
+      written([&] {
+        file->write(picture);
+        file->commit();
+      });
     } catch (const TimedOut&) {
       const std::string why = why_late(browser);
       throw Error(

@@ -13,12 +13,15 @@
 #include <ctime>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <span>
 #include <sstream>
+#include <system_error>
 #include <utility>
 
 #include "keys/authority.hpp"
 #include "keys/documents.hpp"
 #include "protocol/security.hpp"
+#include "protocol/whole_file.hpp"
 #include "suture/error.hpp"
 
 namespace suture::keys {
@@ -40,35 +43,24 @@ constexpr std::array<std::pair<Role, const char*>, 5> kRoles{{{Role::kServer, "s
   throw Error(ErrorCode::kBadInput, cause, mend);
 }
 
+constexpr const char* kWriteMend =
+    "see whether this user may write there, and whether the disk is full";
+
 [[noreturn]] void cannot(const std::string& what, const fs::path& path) {
   throw Error(ErrorCode::kPermissionDenied,
-              what + " " + path.string() + " failed: " + std::strerror(errno),
-              "see whether this user may write there, and whether the disk is full");
+              what + " " + path.string() + " failed: " + std::strerror(errno), kWriteMend);
 }
 
 void make_folder(const fs::path& path) {
   if (::mkdir(path.c_str(), 0700) != 0) cannot("making", path);
 }
 
-// Whole or not at all: a new file takes the old one's place once it is on the disk.
-void write_file(const fs::path& path, const std::string& text, mode_t mode) {
-  const std::string temporary = path.string() + ".new";
-  ::unlink(temporary.c_str());
-  const int file =
-      ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, mode);
-  if (file < 0) cannot("writing", temporary);
-  const ssize_t written = ::write(file, text.data(), text.size());
-  const bool whole = written == static_cast<ssize_t>(text.size()) && ::fchmod(file, mode) == 0 &&
-                     ::fsync(file) == 0;
-  const int fault = errno;
-  ::close(file);
-  if (!whole || ::rename(temporary.c_str(), path.c_str()) != 0) {
-    if (!whole) errno = fault;
-    const int kept = errno;
-    ::unlink(temporary.c_str());
-    errno = kept;
-    cannot("writing", path);
-  }
+void write_file(const fs::path& path, const std::string& text, mode_t mode) try {
+  WholeFile file(path, mode);
+  file.write(std::as_bytes(std::span(text)));
+  file.commit();
+} catch (const std::system_error& error) {
+  throw Error(ErrorCode::kPermissionDenied, error.what(), kWriteMend);
 }
 
 std::string read_file(const fs::path& path) {

@@ -1,18 +1,15 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "checkpoints/checkpoint_file.hpp"
 
-#include <fcntl.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <array>
 #include <boost/crc.hpp>
-#include <cerrno>
 #include <fstream>
 #include <system_error>
 
 #include "archive/archive.hpp"
 #include "geometry/regular_file.hpp"
+#include "protocol/whole_file.hpp"
 #include "scene/scene.hpp"
 
 namespace sutured::checkpoints {
@@ -68,45 +65,6 @@ std::size_t read_head(const std::filesystem::path& path, std::span<const std::by
   }
 }
 
-/// A file that goes again unless it was made to stay.
-class TemporaryFile {
- public:
-  explicit TemporaryFile(std::filesystem::path path)
-      : path_(std::move(path)),
-        fd_(::open(path_.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600)) {
-    if (fd_ < 0) give_up("cannot be made");
-  }
-  ~TemporaryFile() {
-    if (fd_ >= 0) ::close(fd_);
-    if (!path_.empty()) ::unlink(path_.c_str());
-  }
-  TemporaryFile(const TemporaryFile&) = delete;
-  TemporaryFile& operator=(const TemporaryFile&) = delete;
-
-  void write(std::span<const std::byte> bytes) {
-    while (!bytes.empty()) {
-      const ssize_t done = ::write(fd_, bytes.data(), bytes.size());
-      if (done < 0 && errno == EINTR) continue;
-      if (done < 0) give_up("cannot be written");
-      bytes = bytes.subspan(static_cast<std::size_t>(done));
-    }
-  }
-  void rename_to(const std::filesystem::path& path) {
-    if (::fsync(fd_) != 0) give_up("does not reach the disk");
-    if (::rename(path_.c_str(), path.c_str()) != 0) give_up("cannot be renamed");
-    path_.clear();
-  }
-
- private:
-  [[noreturn]] void give_up(const char* what) {
-    const std::string reason = std::generic_category().message(errno);
-    fail(path_, std::string(what) + ": " + reason, "see to the folder and the disk's space");
-  }
-  std::filesystem::path path_;
-  int fd_;
-};
-
-/// Throws CheckpointError, naming `path`, where they differ.
 void expect_same(const std::filesystem::path& path, const Identity& found,
                  const Identity& expected) {
   if (found.writer != expected.writer)
@@ -155,19 +113,15 @@ void write_checkpoint(const std::filesystem::path& path, const CheckpointInfo& i
   crc.process_bytes(state.data(), state.size());
   const std::uint64_t sum = crc.checksum();
 
-  std::filesystem::path temporary = path;
-  temporary += ".part";
-  TemporaryFile file(temporary);
-  file.write(before);
-  file.write(state);
-  file.write(std::as_bytes(std::span(&sum, 1)));
-  file.rename_to(path);
-  // The name, too, must survive the machine's power.
-  const std::filesystem::path folder = path.has_parent_path() ? path.parent_path() : ".";
-  const int fd = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  if (fd < 0) return;
-  ::fsync(fd);
-  ::close(fd);
+  try {
+    suture::WholeFile file(path, 0600);
+    file.write(before);
+    file.write(state);
+    file.write(std::as_bytes(std::span(&sum, 1)));
+    file.commit();
+  } catch (const std::system_error& error) {
+    throw CheckpointError(std::string(error.what()) + "; see to the folder and the disk's space");
+  }
 }
 
 Checkpoint read_checkpoint(const std::filesystem::path& path, const Identity& expected) {

@@ -14,6 +14,8 @@
 #include <limits>
 #include <system_error>
 
+#include "protocol/whole_file.hpp"
+
 namespace sutured::checkpoints {
 namespace {
 
@@ -86,7 +88,7 @@ std::filesystem::path CheckpointFolder::path_of(const std::string& name) const {
 void CheckpointFolder::read_folder() {
   for (const auto& entry : std::filesystem::directory_iterator(options_.folder)) {
     const std::string name = entry.path().filename().string();
-    if (name.ends_with(".part")) {  // of a write that a crash cut off
+    if (name.ends_with(suture::WholeFile::kSuffix)) {  // of a write that a crash cut off
       std::error_code ignored;
       std::filesystem::remove(entry.path(), ignored);
       continue;

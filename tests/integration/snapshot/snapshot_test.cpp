@@ -314,7 +314,7 @@ TEST_F(SnapshotCommand, SaysWhichFileCannotBeWrittenBeforeItStartsABrowser) {
     const ProgramResult result =
         testing::run_program({SUTURE_CLI, "snapshot", file, "--browser", browser("exit 9")});
     EXPECT_EQ(result.exit_code, 2) << file;
-    EXPECT_THAT(result.err, HasSubstr(file + "\" cannot be written"));
+    EXPECT_THAT(result.err, HasSubstr(file + " cannot be written: "));
   }
   EXPECT_FALSE(fs::exists(folder_.path("pid")));
 }
