@@ -12,7 +12,7 @@ namespace suture {
 namespace {
 
 // A separate participant's domain is another one within the process, and the same on the
-// network.
+// network. (With keys: `separate_secured_domain`.)
 constexpr std::uint32_t kSeparate = 1000;
 
 std::string domain_configuration(std::uint32_t network_domain, const Network& network,
@@ -194,8 +194,14 @@ Participant::Participant(const ParticipantOptions& options, Channel channel)
     if (!options.tool.empty() && !state.identity->may_drive(options.tool))
       refuse_tool(*state.identity, options.tool);
   }
+  if (state.identity && network_domain >= kSecuredDomains)
+    throw Error(ErrorCode::kBadInput,
+                "domain " + std::to_string(options.domain) + " cannot be used with keys",
+                "take an even number from 0 to " + std::to_string(kSecuredDomains - 2));
   const Network network = find_network(options.network, state.identity.has_value());
-  state.domain = network_domain + (options.separate ? kSeparate : 0U);
+  state.domain = !options.separate ? network_domain
+                 : state.identity  ? separate_secured_domain(network_domain)
+                                   : network_domain + kSeparate;
   state.realtime = open_domain(state.domain, network_domain, network, channel);
   state.opened = true;
 

@@ -28,6 +28,17 @@ inline constexpr char kToolMark = '@';
 /// server takes poses for a tool only from writers that are in its partition.
 [[nodiscard]] std::string tool_partition(std::string_view tool);
 
+/// Domains that documents can name: Cyclone DDS 0.10 takes one that names 231 for damaged.
+inline constexpr std::uint32_t kSecuredDomains = 230;
+
+/// Returns the number by which the process itself calls a network's domain where it takes part in
+/// it a second time (`ParticipantOptions::separate`) with keys. Cyclone holds documents against
+/// that number, so it is one that they can name: another domain's, as far away as there is.
+[[nodiscard]] constexpr std::uint32_t separate_secured_domain(std::uint32_t domain) noexcept {
+  constexpr std::uint32_t kAway = 116;  // even, so that forces stay apart from meshes
+  return (domain + kAway) % kSecuredDomains;
+}
+
 /// What a folder of keys says of its holder.
 struct Identity {
   std::string folder;

@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "protocol/topics.hpp"
+
 namespace suture {
 namespace {
 
@@ -27,8 +29,7 @@ ddsi_serdata* deserialise(const ddsi_sertype* type, std::span<const std::byte> b
 ddsi_sertype* type_of(dds_entity_t participant, dds_entity_t topic, std::size_t sample_size) {
   const std::unique_ptr<dds_qos_t, decltype(&dds_delete_qos)> qos(dds_create_qos(),
                                                                   &dds_delete_qos);
-  const char* partition = "suture-type-of-a-topic";
-  dds_qset_partition(qos.get(), 1, &partition);
+  dds_qset_partition1(qos.get(), kCodecPartition);
   const dds_entity_t publisher = dds_create_publisher(participant, qos.get(), nullptr);
   const dds_entity_t subscriber = dds_create_subscriber(participant, qos.get(), nullptr);
   const dds_entity_t reader = dds_create_reader(subscriber, topic, nullptr, nullptr);

@@ -28,6 +28,13 @@ struct TopicSpec {
   std::int64_t liveliness_ns;  ///< lease of automatic liveliness, offered by writers; 0: none
 };
 
+/// What the gateway composes of the others for web clients (foxglove::SceneUpdate). It is a topic
+/// to DDS where its codec is made (`SampleCodec`), and not otherwise.
+inline constexpr const char* kComposedScene = "suture/scene";
+
+/// The partition in which a codec writes a sample to itself. Keys of a server permit it.
+inline constexpr const char* kCodecPartition = "suture-type-of-a-topic";
+
 /// Returns the specification of the topic that carries `T`.
 template <class T>
 [[nodiscard]] const TopicSpec& topic() noexcept;

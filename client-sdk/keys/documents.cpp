@@ -13,9 +13,6 @@
 namespace suture::keys {
 namespace {
 
-// Beyond it the plugin of Cyclone DDS 0.10 takes a document for damaged.
-constexpr int kLastDomain = 230;
-
 struct Topics {
   std::set<std::string> written, read;
 };
@@ -34,6 +31,8 @@ Topics topics_of(const Rights& rights) {
           topics.written.insert(spec.name);
           topics.read.insert(spec.name);
         }
+        topics.written.insert(kComposedScene);
+        topics.read.insert(kComposedScene);
         break;
       case Role::kDevice:
         add<v1::ToolPose, v1::ToolRendered, v1::DeviceProfile>(topics.written);
@@ -58,18 +57,31 @@ Topics topics_of(const Rights& rights) {
 
 std::string date(std::int64_t unix_s) { return utc_text(unix_s, "%Y-%m-%dT%H:%M:%SZ"); }
 
+std::string domain_range(std::uint32_t first, std::uint32_t last) {
+  return "<id_range><min>" + std::to_string(first) + "</min><max>" + std::to_string(last) +
+         "</max></id_range>";
+}
+
+bool serves(const Rights& rights) {
+  return std::find(rights.roles.begin(), rights.roles.end(), Role::kServer) != rights.roles.end();
+}
+
+// A server takes part in its domains a second time, for its web clients.
 std::string domains(const Rights& rights) {
-  const int first = std::max(rights.domain, 0);
-  const int last = rights.domain < 0 ? kLastDomain : rights.domain + 1;
-  return "<domains><id_range><min>" + std::to_string(first) + "</min><max>" + std::to_string(last) +
-         "</max></id_range></domains>";
+  if (rights.domain < 0) return "<domains>" + domain_range(0, kSecuredDomains - 1) + "</domains>";
+  const auto first = static_cast<std::uint32_t>(rights.domain);
+  std::string pairs = domain_range(first, first + 1);
+  if (serves(rights))
+    pairs += domain_range(separate_secured_domain(first), separate_secured_domain(first) + 1);
+  return "<domains>" + pairs + "</domains>";
 }
 
 // A session's name never begins with the mark of a tool, so that a right to every session
 // is none to a tool.
 std::vector<std::string> sessions(const Rights& rights) {
-  if (!rights.session.empty()) return {rights.session};
-  return {"", std::string("[!") + kToolMark + "]*"};
+  if (rights.session.empty()) return {"", std::string("[!") + kToolMark + "]*"};
+  if (!serves(rights)) return {rights.session};
+  return {rights.session, kCodecPartition};
 }
 
 std::string criteria(const char* kind, const std::set<std::string>& topics,
@@ -92,7 +104,8 @@ std::string governance_xml(Protection protection) {
                              : "ENCRYPT_WITH_ORIGIN_AUTHENTICATION";
   return std::string(R"(<?xml version="1.0" encoding="utf-8"?>
 <dds><domain_access_rules><domain_rule>
-<domains><id_range><min>0</min><max>230</max></id_range></domains>
+<domains>)" + domain_range(0, kSecuredDomains - 1) +
+                     R"(</domains>
 <allow_unauthenticated_participants>false</allow_unauthenticated_participants>
 <enable_join_access_control>true</enable_join_access_control>
 <discovery_protection_kind>ENCRYPT</discovery_protection_kind>
@@ -116,10 +129,7 @@ std::string permissions_xml(const std::string& subject, const Rights& rights, st
                             std::int64_t expires_s) {
   const Topics topics = topics_of(rights);
   std::vector<std::string> writes_in = sessions(rights);
-  const auto has = [&](Role role) {
-    return std::find(rights.roles.begin(), rights.roles.end(), role) != rights.roles.end();
-  };
-  if (has(Role::kServer)) {
+  if (serves(rights)) {
     writes_in.push_back(tool_partition("*"));
   } else {
     for (const std::string& tool : rights.tools) writes_in.push_back(tool_partition(tool));

@@ -104,7 +104,8 @@ void check(const Rights& rights) {
   for (const std::string& tool : rights.tools)
     if (tool.empty() || tool.size() > 32 || tool.find_first_of("*?[]\\,@") != std::string::npos)
       refuse("\"" + tool + "\" names no tool", "take the name of a tool in the scene");
-  if (rights.domain >= 0 && (rights.domain % 2 != 0 || rights.domain > 228))
+  if (rights.domain >= 0 &&
+      (rights.domain % 2 != 0 || rights.domain > static_cast<int>(kSecuredDomains) - 2))
     refuse("domain " + std::to_string(rights.domain) + " is not usable",
            "take an even number from 0 to 228");
   if (rights.session.size() > 64 || rights.session.find_first_of("*?[]\\,@") != std::string::npos)

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "idl/idl_text.hpp"
+#include "protocol/topics.hpp"
 
 namespace sutured::gateway {
 namespace {
@@ -19,7 +20,6 @@ using Colour = foxglove_Color;
 using Point = foxglove_Point3;
 using Vec3 = std::array<double, 3>;
 
-constexpr char kTopic[] = "suture/scene";
 constexpr char kFrame[] = "world";
 constexpr std::size_t kThingsMax = 256;  // of one kind: names come from the network
 constexpr double kArrowPerNewton_m = 0.01;
@@ -189,12 +189,12 @@ struct SceneComposer::Readers {
 };
 
 SceneComposer::SceneComposer(const suture::Participant& mesh)
-    : mesh_(mesh), codec_(mesh, foxglove_SceneUpdate_desc, kTopic) {}
+    : mesh_(mesh), codec_(mesh, foxglove_SceneUpdate_desc, suture::kComposedScene) {}
 
 SceneComposer::~SceneComposer() = default;
 
 Channel SceneComposer::channel(std::uint32_t id) {
-  return {id, kTopic, "foxglove::SceneUpdate", suture::foxglove_scene_idl()};
+  return {id, suture::kComposedScene, "foxglove::SceneUpdate", suture::foxglove_scene_idl()};
 }
 
 void SceneComposer::watch(bool wanted) {

@@ -14,6 +14,7 @@
 #include "support/process.hpp"
 #include "support/temporary_folder.hpp"
 #include "support/test_session.hpp"
+#include "support/web_client.hpp"
 
 namespace sutured {
 namespace {
@@ -55,10 +56,11 @@ class Refusals : public ::testing::Test {
   [[nodiscard]] std::string folder(const std::string& name) const {
     return site_ + "/identities/" + name;
   }
-  void serve(const std::string& security) {
-    server_ = std::make_unique<Process>(in_session(
-        {SUTURED_PROGRAM, "serve", SUTURED_SOURCE_DIR "/server/scenes/anastomosis/scene.toml"},
-        security));
+  void serve(const std::string& security, const std::vector<std::string>& options = {}) {
+    std::vector<std::string> words{SUTURED_PROGRAM, "serve",
+                                   SUTURED_SOURCE_DIR "/server/scenes/anastomosis/scene.toml"};
+    words.insert(words.end(), options.begin(), options.end());
+    server_ = std::make_unique<Process>(in_session(words, security));
     server_->read_until("serving scene");
   }
   static std::vector<std::string> in_session(std::vector<std::string> words,
@@ -98,6 +100,36 @@ TEST_F(Refusals, EachRoleDoesItsPartAndNoOther) {
   const Said no_tool = suture({"device", "--surgeon", hands, "--timeout", "30"}, folder("viewer"));
   EXPECT_EQ(no_tool.code, 6) << no_tool.text;
   EXPECT_THAT(no_tool.text, HasSubstr("give no right to the tool \"driver\""));
+}
+
+// It takes part a second time, with receive threads of its own and the server's keys.
+TEST_F(Refusals, WebClientsSeeASecuredScene) {
+  add("here", {"--role", "server", "--domain", std::to_string(own_session().domain), "--session",
+               own_session().session});
+  const std::string hands = folder_.write("hands.csv",
+                                          "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw\n"
+                                          "0,driver,0,0,0.05,0,0,0,1,0\n"
+                                          "600,driver,0,0,0.05,0,0,0,1,0\n");
+  for (const char* keys_of_server : {"server", "here"}) {
+    SCOPED_TRACE(keys_of_server);
+    serve(folder(keys_of_server), {"--http", "0"});
+    testing::WebClient page(testing::port_of(server_->read_until("/\n")));
+    page.subscribe(1, "suture/mesh/frame");
+    page.subscribe(2, "suture/tool/pose");
+    Process device(in_session({SUTURE_CLI, "device", "--surgeon", hands}, folder("driver")));
+    bool frame = false, pose = false;
+    while (!frame || !pose) {
+      const auto message = page.wait();
+      ASSERT_TRUE(message) << "the server has gone";
+      if (message->text) continue;
+      frame |= message->bytes[1] == 1;
+      pose |= message->bytes[1] == 2;
+    }
+    device.send(SIGINT);
+    device.wait();
+    server_->send(SIGTERM);
+    EXPECT_EQ(server_->wait(), 0) << server_->output();
+  }
 }
 
 TEST_F(Refusals, OtherKeysAreRefusedAndTheCauseIsSaid) {
