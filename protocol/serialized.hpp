@@ -65,6 +65,19 @@ class SampleCodec {
                             T& sample) const noexcept requires kFixedSize<T> {
     return decode_into(bytes, &sample);
   }
+  /// Calls `use(const T&)` with the sample that the bytes are, whatever its type; false where they
+  /// are none. Allocates its sequences, which end with the call.
+  template <class T, class Use>
+  bool with_decoded(std::span<const std::byte> bytes, Use&& use) const {
+    T sample{};
+    const struct Contents {
+      T& sample;
+      ~Contents() { dds_sample_free(&sample, topic<T>().descriptor, DDS_FREE_CONTENTS); }
+    } contents{sample};
+    if (!decode_into(bytes, &sample)) return false;
+    use(static_cast<const T&>(sample));
+    return true;
+  }
 
  private:
   friend class SerializedWriter;

@@ -1,20 +1,20 @@
 #!/bin/bash
 # SPDX-License-Identifier: GPL-3.0-or-later
-# Runs each fuzzer for a while from its seeds: tests/fuzz/smoke.sh FOLDER_OF_FUZZERS SECONDS_EACH
+# Runs one fuzzer from its seeds: tests/fuzz/run.sh FUZZER SEEDS -runs=N | -max_total_time=SECONDS
+# What it finds lies in the folder that it names, and stays.
 set -euo pipefail
-fuzzers=$(realpath "$1")
-seconds=$2
-here=$(realpath "$(dirname "$0")")
+fuzzer=$(realpath "$1")
+seeds=$(realpath "$(dirname "$0")")/seeds/$2
 work=$(mktemp -d)
-trap 'rm -rf "$work"' EXIT
 cd "$work"
-for fuzzer in fuzz_mesh_header fuzz_mesh_reader fuzz_scene; do
-  seeds=$here/seeds/mesh
-  [ "$fuzzer" = fuzz_scene ] && seeds=$here/seeds/scene
-  mkdir "$fuzzer"
-  echo "== $fuzzer, $seconds s"
-  # libgmsh keeps some memory for good: its leaks are not ours to find.
-  ASAN_OPTIONS=detect_leaks=0 "$fuzzers/$fuzzer" -seed=1 -max_total_time="$seconds" -timeout=20 \
-    -rss_limit_mb=4096 -print_final_stats=1 "$fuzzer" "$seeds" 2>&1 |
-    grep -E 'ERROR|SUMMARY|Test unit|stat::number_of_executed|runtime error'
-done
+mkdir corpus
+# libgmsh and Cyclone keep some memory for good: their leaks are not ours to find.
+if ASAN_OPTIONS=detect_leaks=0:allocator_may_return_null=0 "$fuzzer" -seed=1 "$3" -timeout=20 \
+  -rss_limit_mb=4096 -print_final_stats=1 corpus "$seeds" >log 2>&1; then
+  grep 'stat::number_of_executed' log
+  rm -rf "$work"
+else
+  tail -60 log
+  echo "found by $(basename "$fuzzer"): $work"
+  exit 1
+fi
