@@ -23,6 +23,7 @@
 #include "protocol/endpoint.hpp"
 #include "protocol/surgeon.hpp"
 #include "protocol/topics.hpp"
+#include "soak/force_watcher.hpp"
 #include "support/process.hpp"
 #include "support/process_facts.hpp"
 #include "support/temporary_folder.hpp"
@@ -62,69 +63,6 @@ std::string write_scene(const testing::TemporaryFolder& folder) {
           "max_force_slew_n_per_s = " + std::to_string(kMaxSlew_n_per_s));
   return folder.write("scene.toml", text);
 }
-
-double norm(const double (&v)[3]) { return std::hypot(v[0], v[1], v[2]); }
-
-/// Hears every force of a tool, and keeps the worst of each kind.
-class ForceWatcher {
- public:
-  struct Worst {
-    std::uint64_t forces = 0, answers = 0;
-    double force_n = 0.0, step_n = 0.0;
-    double over_slew = 0.0;  ///< largest step over what the slew limit allows for its time
-    std::uint32_t model_age_us = 0, faults = 0;
-  };
-
-  ForceWatcher(const suture::Participant& participant, const std::string& tool)
-      : tool_(suture::tool_id(tool)) {
-    suture::EndpointCallbacks callbacks;
-    callbacks.data_available = [this] {
-      if (ready_.load(std::memory_order_acquire)) take();
-    };
-    reader_ = suture::Reader<suture::v1::ToolForce>(participant, std::move(callbacks));
-    ready_.store(true, std::memory_order_release);
-  }
-  Worst worst() {
-    const std::lock_guard lock(mutex_);
-    return worst_;
-  }
-
- private:
-  void take() {
-    suture::v1::ToolForce force;
-    suture::SampleInfo info;
-    while (reader_.take(force, info)) {
-      if (!info.valid || force.tool_id != tool_) continue;
-      const std::lock_guard lock(mutex_);
-      ++worst_.forces;
-      worst_.answers += (force.flags & suture_v1_FORCE_FROM_SUPERVISOR) == 0;
-      worst_.faults |= force.faults;
-      // Not finite: more than any limit.
-      const double magnitude = norm(force.force_n);
-      worst_.force_n = std::max(worst_.force_n, std::isfinite(magnitude) ? magnitude : HUGE_VAL);
-      if (force.state == suture_v1_TOOL_RENDERING && force.model_age_us != UINT32_MAX)
-        worst_.model_age_us = std::max(worst_.model_age_us, force.model_age_us);
-      if (last_.sequence_number != 0 && force.sequence_number > last_.sequence_number) {
-        double step_n[3];
-        for (int k = 0; k < 3; ++k) step_n[k] = force.force_n[k] - last_.force_n[k];
-        // Half a millisecond for the clocks of a stamp, which are read one after the other.
-        const double elapsed_s =
-            1e-9 * static_cast<double>(force.stamp_ns - last_.stamp_ns + 500'000);
-        worst_.step_n = std::max(worst_.step_n, norm(step_n));
-        worst_.over_slew =
-            std::max(worst_.over_slew, norm(step_n) / (kMaxSlew_n_per_s * elapsed_s));
-      }
-      last_ = force;
-    }
-  }
-
-  std::uint64_t tool_;
-  std::atomic<bool> ready_{false};
-  std::mutex mutex_;
-  suture::v1::ToolForce last_{};
-  Worst worst_;
-  suture::Reader<suture::v1::ToolForce> reader_;
-};
 
 /// What the server said of itself.
 struct Told {
@@ -168,7 +106,7 @@ int run(double seconds) {
   if (seconds < 3.0 * round_s)
     throw std::runtime_error("takes " + std::to_string(3.0 * round_s) + " s at least");
   const suture::Participant participant(session, suture::Channel::kControl);
-  ForceWatcher watcher(participant, track.tool);
+  ForceWatcher watcher(participant, track.tool, kMaxSlew_n_per_s);
 
   Told told;
   suture::SessionOptions viewing;
