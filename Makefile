@@ -9,13 +9,14 @@ BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
   libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev libzstd-dev libsystemd-dev
 PICTURE_PACKAGES := python3-matplotlib python3-numpy
 TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev libpng-dev calculix-ccx iproute2 openssl systemd \
-  $(PICTURE_PACKAGES)
+  clang libclang-rt-14-dev $(PICTURE_PACKAGES)
 BROWSER_PACKAGES := chromium
 BENCH_PACKAGES := rt-tests
+COVERAGE_PACKAGES := gcovr
 MESH_PACKAGES := gmsh
 DEB_PACKAGES := debhelper help2man lintian
 CLEAN_ROOT_PACKAGES := mmdebstrap systemd-container curl
-CHECK_PACKAGES := clang clang-format clang-tidy libclang-rt-14-dev
+CHECK_PACKAGES := clang-format clang-tidy
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 
 # install-packages LIST: asks apt only for what is missing.
@@ -114,14 +115,35 @@ test: deps-test deps-node ## Build and run every test
 	@cmake --preset dev >/dev/null
 	@cmake --build --preset dev
 	@ctest --preset dev --progress
+	@cmake --preset fuzz >/dev/null
+	@cmake --build --preset fuzz --target fuzzers
+	@ctest --preset fuzz --progress
 
+# HOURS=24, or MINUTES=10: an hour if not said.
+MINUTES ?= $(if $(HOURS),$(shell echo $$(($(HOURS) * 60))),60)
 .PHONY: soak
-soak: deps-test ## Play 1000 random surgeons and check every step; serve for 10 minutes; 100,000 bad web messages
+soak: deps-test ## Let everything run long, HOURS or MINUTES: a report in out/soak/soak.md
 	@cmake --preset dev >/dev/null
-	@cmake --build --preset dev --target sutured_surgeons sutured_long_run sutured_web_attack
-	@build/dev/tests/soak/sutured_surgeons --count 1000
-	@build/dev/tests/soak/sutured_long_run --seconds 600
-	@build/dev/tests/soak/sutured_web_attack --count 100000
+	@cmake --build --preset dev --target sutured_campaign sutured_surgeons sutured_long_run sutured_packet_attack \
+	  sutured_web_attack
+	@cmake --preset fuzz >/dev/null
+	@cmake --build --preset fuzz --target fuzzers
+	@tests/soak/soak.sh $(MINUTES) out/soak build/dev build/fuzz/tests/fuzz
+
+# In a build folder of its own, at -O1 so that lines stay where they are. TESTS limits it, as ctest -R does.
+COVERAGE := build/coverage
+TESTS ?= .
+.PHONY: coverage
+coverage: deps-test ## Print how much of the sources the tests run: all, or those that match TESTS
+	$(call install-packages,$(COVERAGE_PACKAGES))
+	@cmake --preset coverage >/dev/null
+	@cmake --build --preset coverage $(if $(TARGETS),--target $(TARGETS))
+	@find $(COVERAGE) -name '*.gcda' -delete
+	@ctest --test-dir $(COVERAGE) -R '$(TESTS)' -LE '$(or $(WITHOUT),none)' --output-on-failure --progress
+	@gcovr --root . --object-directory $(COVERAGE) --filter server/ --filter protocol/ --filter client-sdk/ \
+	  --exclude '.*/examples/' --exclude-throw-branches --exclude-unreachable-branches --print-summary \
+	  --json-summary $(COVERAGE)/summary.json --txt $(COVERAGE)/files.txt
+	@/usr/bin/python3 tests/coverage/folders.py $(COVERAGE)/summary.json
 
 .PHONY: bench
 bench: deps-test ## Measure the budgets: a table, and build/bench/results.json
@@ -187,7 +209,7 @@ meshes: ## Make the meshes of the scenes anew, with Gmsh
 	  gmsh -3 -v 2 -format msh41 $$geo -o $${geo%.geo}.msh && echo "made $${geo%.geo}.msh"; done
 
 .PHONY: fuzz
-fuzz: deps-check ## Fuzz the readers of scenes and meshes for a minute
+fuzz: deps-test ## Fuzz whatever reads strangers' bytes: SECONDS each (60)
 	@cmake --preset fuzz >/dev/null
 	@cmake --build --preset fuzz --target fuzzers
-	@tests/fuzz/smoke.sh build/fuzz/tests/fuzz 20
+	@tests/fuzz/all.sh build/fuzz/tests/fuzz $(or $(SECONDS),60)

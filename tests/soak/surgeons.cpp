@@ -8,6 +8,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cstdio>
 #include <cstring>
 #include <map>
@@ -155,9 +156,11 @@ int main(int argc, char** argv) {
   CLI::App app("Random surgeons on random scenes; every step is checked.");
   std::uint64_t first = 0, count = 100;
   int steps = 300, jobs = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  double seconds = 0.0;
   bool verbose = false;
   app.add_option("--first", first, "seed of the first surgeon");
   app.add_option("--count", count, "how many surgeons");
+  app.add_option("--seconds", seconds, "start none after so long; 0: all of them");
   app.add_option("--steps", steps, "steps of each");
   app.add_option("--jobs", jobs, "how many at a time")->check(CLI::PositiveNumber);
   app.add_flag("--verbose", verbose, "print every step");
@@ -195,8 +198,13 @@ int main(int argc, char** argv) {
     close(ends[1]);
     running[pid] = {seed, ends[0]};
   };
-  while (next < first + count || !running.empty()) {
-    while (next < first + count && running.size() < static_cast<std::size_t>(jobs)) start();
+  const auto begun = std::chrono::steady_clock::now();
+  const auto more = [&] {
+    const std::chrono::duration<double> played = std::chrono::steady_clock::now() - begun;
+    return next < first + count && (seconds <= 0.0 || played.count() < seconds);
+  };
+  while (more() || !running.empty()) {
+    while (more() && running.size() < static_cast<std::size_t>(jobs)) start();
     int status = 0;
     const pid_t pid = wait(&status);
     const auto child = running.find(pid);
