@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Command lines of `sutured` and `suture`, one word a line: parsed, not carried out.
+// Command lines of `sutured` and `suture`, one word a line, the last one perhaps a value of the
+// environment: parsed, not carried out.
 #include <CLI/CLI.hpp>
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 #include <sstream>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "commands.hpp"
@@ -46,6 +48,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     } else if (data[i] != 0) {  // no argument holds one
       lines.back() += static_cast<char>(data[i]);
     }
+  }
+  // The one option that the environment may give.
+  constexpr std::string_view kToken = "SUTURE_TOKEN=";
+  unsetenv("SUTURE_TOKEN");
+  if (lines.back().starts_with(kToken)) {
+    setenv("SUTURE_TOKEN", lines.back().c_str() + kToken.size(), 1);
+    lines.pop_back();
+    if (lines.empty()) return 0;
   }
   std::vector<const char*> words;
   for (const std::string& line : lines) words.push_back(line.c_str());
