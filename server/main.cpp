@@ -23,12 +23,13 @@ int main(int argc, char** argv) {
       "also\n"
       "  3 another server has this session, 4 network or permission.");
 
-  int exit_code = 0;
-  sutured::commands::add_serve_command(app, exit_code);
-  sutured::commands::add_check_command(app, exit_code);
-  sutured::commands::add_run_command(app, exit_code);
+  sutured::commands::Action action;
+  sutured::commands::add_serve_command(app, action);
+  sutured::commands::add_check_command(app, action);
+  sutured::commands::add_run_command(app, action);
   try {
     app.parse(argc, argv);
+    return action();
   } catch (const CLI::Success& help) {
     return app.exit(help);
   } catch (const CLI::ParseError& error) {
@@ -40,5 +41,4 @@ int main(int argc, char** argv) {
     sutured::commands::tell_failure(std::string("sutured: ") + error.what());
     return 1;
   }
-  return exit_code;
 }

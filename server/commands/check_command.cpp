@@ -181,7 +181,7 @@ int check(const Options& options) {
 
 }  // namespace
 
-void add_check_command(CLI::App& app, int& exit_code) {
+void add_check_command(CLI::App& app, Action& action) {
   auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand(
       "check",
@@ -200,9 +200,11 @@ void add_check_command(CLI::App& app, int& exit_code) {
       "  sutured check liver.msh                 # which unit is it in?\n"
       "  sutured check liver.msh --scale 0.1 --json\n"
       "Exit code: 0 good, 1 faults, each as file:line:column, 2 usage.");
-  command->callback([options, &exit_code] {
-    options->path = scene_file(options->path);
-    exit_code = check(*options);
+  command->callback([options, &action] {
+    action = [options] {
+      options->path = scene_file(options->path);
+      return check(*options);
+    };
   });
 }
 

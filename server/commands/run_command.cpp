@@ -238,7 +238,7 @@ int run(const RunOptions& options) {
 
 }  // namespace
 
-void add_run_command(CLI::App& app, int& exit_code) {
+void add_run_command(CLI::App& app, Action& action) {
   auto options = std::make_shared<RunOptions>();
   CLI::App* command =
       app.add_subcommand("run", "Play a surgeon file through a scene, without clock or network");
@@ -274,7 +274,7 @@ void add_run_command(CLI::App& app, int& exit_code) {
       "the same run\n"
       "gives the same bytes but for timing.csv.\n"
       "Exit codes: 0 done, 1 faulty input or output, 2 wrong usage.");
-  command->callback([options, &exit_code] { exit_code = run(*options); });
+  command->callback([options, &action] { action = [options] { return run(*options); }; });
 }
 
 }  // namespace sutured::commands

@@ -261,7 +261,7 @@ int serve_and_tell(const Options& options) {
 
 }  // namespace
 
-void add_serve_command(CLI::App& app, int& exit_code) {
+void add_serve_command(CLI::App& app, Action& action) {
   CLI::App* command = app.add_subcommand("serve", "Simulate a scene and let devices feel it");
   auto options = std::make_shared<Options>();
   add_config_option(*command);
@@ -345,7 +345,8 @@ void add_serve_command(CLI::App& app, int& exit_code) {
       "  sutured serve --config /etc/sutured/sutured.toml --session class-a\n"
       "Exit codes: 0 ended as asked, 1 the scene or the simulation failed, 2 options,\n"
       "  3 another server has this session, 4 network or permission.");
-  command->callback([options, &exit_code] { exit_code = serve_and_tell(*options); });
+  command->callback(
+      [options, &action] { action = [options] { return serve_and_tell(*options); }; });
 }
 
 }  // namespace sutured::commands
