@@ -43,10 +43,6 @@ double norm(const Vector3& v) { return std::hypot(v[0], v[1], v[2]); }
 /// One participant of each channel, on this machine alone.
 struct Network {
   Network() {
-    setenv("CYCLONEDDS_URI",
-           "<CycloneDDS><Domain Id=\"any\"><General><Interfaces><NetworkInterface name=\"lo\"/>"
-           "</Interfaces></General></Domain></CycloneDDS>",
-           1);
     options.domain = 2U * (static_cast<std::uint32_t>(getpid()) % 100U);
     options.session = "fuzz-" + std::to_string(getpid());
     control.emplace(options, Channel::kControl);

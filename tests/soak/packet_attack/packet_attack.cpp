@@ -38,9 +38,6 @@ const std::string kFolder = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/";
 // As in its scene.toml.
 constexpr double kMaxForce_n = 3.3;
 constexpr double kMaxSlew_n_per_s = 500.0;
-constexpr const char* kLoopback =
-    "<CycloneDDS><Domain Id=\"any\"><General><Interfaces><NetworkInterface name=\"lo\"/>"
-    "</Interfaces></General></Domain></CycloneDDS>";
 // Within 50 ms of the last force, and a tick or two to see it.
 constexpr std::chrono::milliseconds kFaded{60};
 constexpr std::size_t kHeader = 20;  // "RTPS", version, vendor, GUID prefix
@@ -264,7 +261,6 @@ struct Options {
 };
 
 int attack(const Options& options) {
-  setenv("CYCLONEDDS_URI", kLoopback, 1);  // before there is any other thread
   const suture::ParticipantOptions session = testing::own_session();
   testing::Process server({SUTURED_PROGRAM, "serve", kFolder + "scene.toml", "--domain",
                            std::to_string(session.domain), "--session", session.session});
