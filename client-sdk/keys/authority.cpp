@@ -77,7 +77,9 @@ std::string pem_of(EVP_PKEY* key) {
   return text_in(bio.get());
 }
 
-KeyPtr new_key() { return made(KeyPtr(EVP_EC_gen("P-256")), "making a key"); }
+KeyPtr new_key() {
+  return made(KeyPtr(EVP_PKEY_Q_keygen(nullptr, nullptr, "EC", "P-256")), "making a key");
+}
 
 IntegerPtr integer(const std::string& hexadecimal) {
   BIGNUM* raw = nullptr;
