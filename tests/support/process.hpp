@@ -3,6 +3,7 @@
 #pragma once
 
 #include <fcntl.h>
+#include <poll.h>
 #include <signal.h>
 #include <spawn.h>
 #include <sys/wait.h>
@@ -59,6 +60,17 @@ class Process {
       output_.append(buffer, static_cast<std::size_t>(got));
     }
     return output_;
+  }
+
+  /// Takes what has come and does not wait: a pipe that nobody empties holds up whoever writes.
+  void drain() {
+    char buffer[4096];
+    pollfd ready{output_fd_, POLLIN, 0};
+    while (poll(&ready, 1, 0) > 0) {
+      const ssize_t got = ::read(output_fd_, buffer, sizeof buffer);
+      if (got <= 0) break;
+      output_.append(buffer, static_cast<std::size_t>(got));
+    }
   }
 
   /// Waits for the end; returns the exit code, or 128 + the signal that ended it.

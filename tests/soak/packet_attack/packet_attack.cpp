@@ -276,6 +276,7 @@ int attack(const Options& options) {
     const std::uint64_t answers = watcher.worst().answers;
     return testing::eventually(
         [&] {
+          server.drain();
           const ForceWatcher::Worst now = watcher.worst();
           return now.rendering && now.answers >= answers + 500;
         },
@@ -326,6 +327,7 @@ int attack(const Options& options) {
     ++kinds[kind];
     if (++sent % 64 == 0) {
       if (!lives()) break;
+      server.drain();  // Cyclone tells of each bad packet
       if (tap.open()) tap.take(theirs, pool, 512, random);
       std::this_thread::sleep_until(  // a pace, not a condition
           begun +
