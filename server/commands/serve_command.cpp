@@ -25,6 +25,7 @@
 #include "endpoints/server.hpp"
 #include "gateway/gateway.hpp"
 #include "gateway/site.hpp"
+#include "protocol/dds_log.hpp"
 #include "protocol/number_option.hpp"
 #include "protocol/rendezvous.hpp"
 #include "protocol/types.hpp"
@@ -169,6 +170,10 @@ int serve(const Options& options) {
   EndSignals signals;
   ServiceManager manager;
   const auto log = make_service_log();
+  // Nobody reads: then it is not waited for.
+  const suture::DdsLog dds_log([&log](bool error, const std::string& line) {
+    if (can_tell()) log->log(error ? spdlog::level::err : spdlog::level::warn, "DDS: {}", line);
+  });
   const std::string file = scene_of(options);
   suture::ParticipantOptions session;
   session.domain = options.domain;

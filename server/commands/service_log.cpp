@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "commands/service_log.hpp"
 
+#include <poll.h>
 #include <spdlog/pattern_formatter.h>
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/sinks/stdout_sinks.h>
@@ -70,6 +71,11 @@ std::shared_ptr<spdlog::logger> make_service_log() {
   auto log = spdlog::stderr_logger_mt("sutured");
   log->set_formatter(std::make_unique<JournalFormatter>());
   return log;
+}
+
+bool can_tell() noexcept {
+  pollfd error{STDERR_FILENO, POLLOUT, 0};
+  return poll(&error, 1, 0) > 0 && (error.revents & POLLOUT) != 0;
 }
 
 void tell_failure(const std::string& text) {

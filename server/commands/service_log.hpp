@@ -19,6 +19,10 @@ namespace sutured::commands {
 /// lines has it before each of them. Threads: any.
 [[nodiscard]] std::shared_ptr<spdlog::logger> make_service_log();
 
+/// Says whether a line to standard error would be taken at once: false where it is a pipe that
+/// nobody empties. Threads: any.
+[[nodiscard]] bool can_tell() noexcept;
+
 /// Writes what ended a command to standard error; in the journal as an error.
 void tell_failure(const std::string& text);
 

@@ -270,15 +270,17 @@ Arena::Result Arena::run(const Attack& attack, double seconds) {
       static_cast<void>(measured(nullptr, 0.1));
   testing::Process attacker(command(attack, seconds));
   std::atomic<bool> over{false};
+  int code = 0;
   std::thread waits([&] {
-    attacker.wait();
+    code = attacker.wait();
     over = true;
   });
   result.felt = measured(&over, 0.0);
   waits.join();
   const std::string& said = attacker.output();
   const std::size_t line = said.rfind("\n{");
-  if (line == std::string::npos) throw std::runtime_error("the attacker failed: " + said);
+  if (line == std::string::npos)
+    throw std::runtime_error("the attacker ended with " + std::to_string(code) + ": " + said);
   const nlohmann::json json = nlohmann::json::parse(said.substr(line + 1));
   result.reached.error = json.at("error").get<std::string>();
   result.reached.sent = json.at("sent").get<std::uint64_t>();

@@ -9,6 +9,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <cerrno>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -56,6 +57,7 @@ class Process {
     char buffer[4096];
     while (text.empty() || output_.find(text) == std::string::npos) {
       const ssize_t got = ::read(output_fd_, buffer, sizeof buffer);
+      if (got < 0 && errno == EINTR) continue;
       if (got <= 0) break;
       output_.append(buffer, static_cast<std::size_t>(got));
     }

@@ -27,6 +27,8 @@
 #include "support/process_facts.hpp"
 #include "support/test_session.hpp"
 #include "suture/device.hpp"
+#include "suture/error.hpp"
+#include "suture/session.hpp"
 
 namespace sutured::soak {
 namespace {
@@ -260,6 +262,19 @@ struct Options {
   bool discovery = false;
 };
 
+/// Commands the server to go on, until it has answered.
+void resume(const suture::ParticipantOptions& session) {
+  suture::SessionOptions options;
+  options.domain = session.domain;
+  options.session = session.session;
+  for (int tries = 3; tries > 0; --tries) try {
+      suture::Session(options).command(suture::CommandKind::kResume);
+      return;
+    } catch (const suture::Error& error) {
+      std::printf("  resume: %s\n", error.what());
+    }
+}
+
 int attack(const Options& options) {
   const suture::ParticipantOptions session = testing::own_session();
   testing::Process server({SUTURED_PROGRAM, "serve", kFolder + "scene.toml", "--domain",
@@ -272,17 +287,17 @@ int attack(const Options& options) {
   const suture::Participant participant(session, suture::Channel::kControl);
   ForceWatcher watcher(participant, track.tool, kMaxSlew_n_per_s);
   Hand hand(session, track);
-  const auto is_felt = [&] {
-    const std::uint64_t answers = watcher.worst().answers;
+  const auto is_felt = [&](ForceWatcher& by) {
+    const std::uint64_t answers = by.worst().answers;
     return testing::eventually(
         [&] {
           server.drain();
-          const ForceWatcher::Worst now = watcher.worst();
+          const ForceWatcher::Worst now = by.worst();
           return now.rendering && now.answers >= answers + 500;
         },
         std::chrono::seconds(120));
   };
-  if (!is_felt()) throw std::runtime_error("the device feels nothing before the attack");
+  if (!is_felt(watcher)) throw std::runtime_error("the device feels nothing before the attack");
   // Ports that are ours too (multicast) would have us attacked.
   std::vector<std::uint16_t> ports;
   const std::set<std::uint16_t> ours = testing::udp_ports(getpid());
@@ -340,7 +355,15 @@ int attack(const Options& options) {
   close(udp);
   const ForceWatcher::Worst during = watcher.worst();
   const double after_kib = testing::resident_kib(server.pid());
-  const bool recovers = lives() && is_felt();
+  bool recovers = lives();
+  if (recovers) {
+    // A pose with one bit flipped may have stopped the tool, as a hand's own would: people resume.
+    resume(session);
+    // The server may have forgotten whoever listened: another looks.
+    const suture::Participant another(session, suture::Channel::kControl);
+    ForceWatcher fresh(another, track.tool, kMaxSlew_n_per_s);
+    recovers = is_felt(fresh);
+  }
   const ForceWatcher::Worst worst = watcher.worst();
   server.send(SIGTERM);
   const int code = server.wait();

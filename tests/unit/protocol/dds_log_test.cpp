@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "protocol/dds_log.hpp"
+
+#include <dds/dds.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
+
+namespace suture {
+namespace {
+
+using ::testing::Contains;
+using ::testing::HasSubstr;
+
+class DdsLogTest : public ::testing::Test {
+ protected:
+  std::vector<std::string> told_;
+  DdsLog log_{[this](bool error, const std::string& line) {
+    told_.push_back((error ? "error: " : "warning: ") + line);
+  }};
+};
+
+TEST_F(DdsLogTest, CycloneSpeaksToIt) {
+  const dds_entity_t domain = dds_create_domain(
+      229, "<CycloneDDS><Domain Id=\"any\"><NoSuchThing>1</NoSuchThing></Domain></CycloneDDS>");
+  EXPECT_LT(domain, 0);
+  EXPECT_THAT(told_, Contains(HasSubstr("NoSuchThing")));
+}
+
+TEST_F(DdsLogTest, TellsAFewLinesAPeriodAndHowManyWereLeftOut) {
+  const auto begun = DdsLog::Clock::time_point(std::chrono::hours(1));
+  for (int i = 0; i < 3 * DdsLog::kLines; ++i)
+    log_.hear(false, "malformed packet", begun + std::chrono::milliseconds(i));
+  EXPECT_EQ(told_.size(), static_cast<std::size_t>(DdsLog::kLines));
+  log_.hear(true, "of the next", begun + DdsLog::kPeriod);
+  ASSERT_EQ(told_.size(), static_cast<std::size_t>(DdsLog::kLines) + 2);
+  EXPECT_EQ(told_[told_.size() - 2],
+            "warning: " + std::to_string(2 * DdsLog::kLines) + " more lines of DDS were left out");
+  EXPECT_EQ(told_.back(), "error: of the next");
+}
+
+TEST_F(DdsLogTest, WhatFailsToTellIsCounted) {
+  DdsLog failing([](bool, const std::string&) { throw 1; });
+  failing.hear(false, "a line", DdsLog::Clock::now());
+}
+
+}  // namespace
+}  // namespace suture
