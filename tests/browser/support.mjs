@@ -30,6 +30,7 @@ export function launch() {
 export async function open(browser, server, options = {}) {
   const { query = "", init = () => {}, ...context } = options;
   const page = await browser.newPage({ viewport: { width: 1280, height: 800 }, colorScheme: "dark", ...context });
+  page.setDefaultTimeout(90_000);  // only a failure reaches it: pictures without a GPU, beside other tests
   const faults = [];
   page.on("pageerror", (error) => faults.push(error.message));
   await page.addInitScript(init);

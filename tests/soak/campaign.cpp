@@ -272,9 +272,12 @@ class Observer {
   void look(const suture::MeshFrame& frame) {
     const std::lock_guard lock(mutex_);
     ++frames_;
-    for (const float x : frame.position_m)
-      if (!(std::abs(x) < static_cast<float>(kFarAway_m)))
-        return fault("a vertex of " + std::string(frame.body) + " is nowhere");
+    for (std::size_t i = 0; i < frame.position_m.size(); ++i)
+      if (const float x = frame.position_m[i]; !(std::abs(x) < static_cast<float>(kFarAway_m)))
+        return fault("coordinate " + std::to_string(i) + " of " + std::string(frame.body) + " is " +
+                     std::to_string(x) + " m in step " + std::to_string(frame.step) + ", " +
+                     std::to_string(frame.simulation_time_s) + " s of epoch " +
+                     std::to_string(frame.epoch));
     for (const float stress : frame.von_mises_pa)
       if (!(stress >= 0.0F && std::isfinite(stress)))
         return fault("a stress in " + std::string(frame.body) + " is " + std::to_string(stress));
