@@ -107,7 +107,7 @@ void check(const Rights& rights) {
   if (rights.domain >= 0 &&
       (rights.domain % 2 != 0 || rights.domain > static_cast<int>(kSecuredDomains) - 2))
     refuse("domain " + std::to_string(rights.domain) + " is not usable",
-           "take an even number from 0 to 228");
+           "take an even number from 0 to " + std::to_string(kSecuredDomains - 2));
   if (rights.session.size() > 64 || rights.session.find_first_of("*?[]\\,@") != std::string::npos)
     refuse("\"" + rights.session + "\" names no session",
            "take up to 64 characters without * ? [ ] \\ @ or a comma");

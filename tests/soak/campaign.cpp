@@ -25,6 +25,8 @@
 
 #include "protocol/surgeon.hpp"
 #include "soak/force_watcher.hpp"
+#include "soak/long_session.hpp"
+#include "support/client_options.hpp"
 #include "support/process.hpp"
 #include "support/process_facts.hpp"
 #include "support/temporary_folder.hpp"
@@ -40,10 +42,6 @@ using Clock = std::chrono::steady_clock;
 using Random = std::mt19937_64;
 using Json = nlohmann::json;
 
-const std::string kFolder = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/";
-// As in its scene.toml.
-constexpr double kMaxForce_n = 3.3;
-constexpr double kMaxSlew_n_per_s = 500.0;
 constexpr double kMaxTension_n = 0.5;
 constexpr double kFarAway_m = 10.0;
 const std::vector<std::string> kTools{"driver", "assistant", "probe"};
@@ -55,11 +53,6 @@ constexpr double kMaxGrowth_count = 2.0;
 constexpr double kMaxGrowth_us = 1000.0;
 // A shorter one is all warm-up: nothing is asked of its growth.
 constexpr double kFlatMin_s = 120.0;
-
-// See long_run.cpp.
-constexpr const char* kSmallBuffers =
-    "<CycloneDDS><Domain Id=\"any\"><Sizing><ReceiveBufferSize>256 KiB</ReceiveBufferSize></Sizing>"
-    "</Domain></CycloneDDS>";
 
 double since_s(Clock::time_point begun) {
   return std::chrono::duration<double>(Clock::now() - begun).count();
@@ -92,19 +85,11 @@ int play(const Guest& guest) {
   device.run([&](const suture::Force&, std::chrono::nanoseconds) -> std::optional<suture::Hand> {
     const double now_s = since_s(begun);
     if (now_s > guest.seconds) return std::nullopt;
+    if (track != nullptr) return to_and_fro(*track, start_s + pace * now_s);
     suture::Hand hand;
     hand.in_world = true;
-    if (track != nullptr) {
-      const double round_s = 2.0 * track->end_s();
-      const double phase_s = std::fmod(start_s + pace * now_s, round_s);
-      const suture::SurgeonPose pose = track->at(std::min(phase_s, round_s - phase_s));
-      hand.position_m = pose.position_m;
-      hand.orientation_xyzw = pose.orientation_xyzw;
-      hand.jaw = pose.jaw;
-    } else {
-      hand.position_m = {0.03 + 0.02 * std::sin(pace * now_s), 0.01 * std::cos(1.7 * now_s),
-                         0.008 * std::sin(0.6 * now_s)};
-    }
+    hand.position_m = {0.03 + 0.02 * std::sin(pace * now_s), 0.01 * std::cos(1.7 * now_s),
+                       0.008 * std::sin(0.6 * now_s)};
     return hand;
   });
   return 0;
@@ -229,10 +214,6 @@ class Observer {
       : participant_(session, suture::Channel::kControl) {
     for (const std::string& tool : kTools)
       watchers_.push_back(std::make_unique<ForceWatcher>(participant_, tool, kMaxSlew_n_per_s));
-    suture::SessionOptions options;
-    options.domain = session.domain;
-    options.session = session.session;
-    options.timeout = std::chrono::seconds(20);
     suture::ViewerCallbacks callbacks;
     callbacks.on_frame = [this](const suture::MeshFrame& frame) { look(frame); };
     callbacks.on_thread = [this](const suture::ThreadView& thread) { look(thread); };
@@ -241,7 +222,7 @@ class Observer {
       const std::lock_guard lock(mutex_);
       status_ = status;
     };
-    viewer_ = std::make_unique<suture::Viewer>(options, callbacks);
+    viewer_ = std::make_unique<suture::Viewer>(testing::client_options(session), callbacks);
   }
   suture::Status status() {
     const std::lock_guard lock(mutex_);
@@ -403,8 +384,7 @@ class Campaign {
     options.domain = session_.domain;
     options.session = session_.session;
     suture::Session session(options);
-    // The history of events is full before anything is measured: see long_run.cpp.
-    for (int i = 0; i < 1000; ++i) session.command(suture::CommandKind::kResume);
+    fill_history(session);  // before anything is measured
     const Clock::time_point begun = Clock::now();
     double sampled_s = 0.0, checkpoint_s = 5.0;
     while (since_s(begun) < part_s) {

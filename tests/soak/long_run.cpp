@@ -24,6 +24,7 @@
 #include "protocol/surgeon.hpp"
 #include "protocol/topics.hpp"
 #include "soak/force_watcher.hpp"
+#include "soak/long_session.hpp"
 #include "support/process.hpp"
 #include "support/process_facts.hpp"
 #include "support/temporary_folder.hpp"
@@ -34,18 +35,10 @@
 namespace sutured::soak {
 namespace {
 
-const std::string kFolder = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/";
-constexpr double kMaxSlew_n_per_s = 5.0;
-// Magnitudes that this slew could not end within a ramp are lowered: below the scene's 3.3 N.
-constexpr double kMaxForce_n = 3.3;
+// Magnitudes that this slew could not end within a ramp are lowered: below `kMaxForce_n`.
+constexpr double kLowSlew_n_per_s = 5.0;
 /// What a server may grow by after its warm-up.
 constexpr double kMaxDrift_kib = 1024.0;
-// Cyclone takes the memory for what it receives from a buffer of a domain, and gets a new one when
-// that is full. One of 1 MiB, as it is by default, takes minutes: small ones are full when it is
-// warm. Each must be larger than a message's share of it, 128 KiB.
-constexpr const char* kSmallBuffers =
-    "<CycloneDDS><Domain Id=\"any\"><Sizing><ReceiveBufferSize>256 KiB</ReceiveBufferSize></Sizing>"
-    "</Domain></CycloneDDS>";
 // Of the machine (a device or a simulation held up), or of limits that do their work.
 constexpr std::uint32_t kExpected = suture_v1_FAULT_POSE_STALE | suture_v1_FAULT_MODEL_STALE |
                                     suture_v1_FAULT_MODEL_PIVOTS | suture_v1_FAULT_FORCE_LIMIT |
@@ -60,7 +53,7 @@ std::string write_scene(const testing::TemporaryFolder& folder) {
   };
   replace("mesh = \"vessels.msh\"", "mesh = \"" + kFolder + "vessels.msh\"");
   replace("max_force_slew_n_per_s = 500.0",
-          "max_force_slew_n_per_s = " + std::to_string(kMaxSlew_n_per_s));
+          "max_force_slew_n_per_s = " + std::to_string(kLowSlew_n_per_s));
   return folder.write("scene.toml", text);
 }
 
@@ -71,14 +64,6 @@ struct Told {
   double wakeup_max_us = 0.0, step_max_us = 0.0;
   std::uint64_t frames = 0;
 };
-
-/// Fills the history of events that the server keeps for late joiners, which would otherwise grow
-/// through most of a run: Cyclone keeps each event in 4 KiB. To resume what runs is an event too.
-void fill_history(const suture::SessionOptions& options) {
-  suture::Session session(options);
-  for (int i = 0; i < suture::topic<suture::v1::Event>().depth; ++i)
-    session.command(suture::CommandKind::kResume);
-}
 
 [[noreturn]] void load() {
   prctl(PR_SET_PDEATHSIG, SIGKILL);
@@ -106,13 +91,16 @@ int run(double seconds) {
   if (seconds < 3.0 * round_s)
     throw std::runtime_error("takes " + std::to_string(3.0 * round_s) + " s at least");
   const suture::Participant participant(session, suture::Channel::kControl);
-  ForceWatcher watcher(participant, track.tool, kMaxSlew_n_per_s);
+  ForceWatcher watcher(participant, track.tool, kLowSlew_n_per_s);
 
   Told told;
   suture::SessionOptions viewing;
   viewing.domain = session.domain;
   viewing.session = session.session;
-  fill_history(viewing);
+  {
+    suture::Session commands(viewing);
+    fill_history(commands);
+  }
   suture::ViewerCallbacks callbacks;
   callbacks.on_frame = [&](const suture::MeshFrame&) {
     const std::lock_guard lock(told.mutex);
@@ -144,14 +132,7 @@ int run(double seconds) {
           [&](const suture::Force&, std::chrono::nanoseconds) -> std::optional<suture::Hand> {
             const double now_s = elapsed_s();
             if (now_s > seconds) return std::nullopt;
-            const double phase_s = std::fmod(now_s, round_s);
-            const suture::SurgeonPose pose = track.at(std::min(phase_s, round_s - phase_s));
-            suture::Hand at;
-            at.position_m = pose.position_m;
-            at.orientation_xyzw = pose.orientation_xyzw;
-            at.jaw = pose.jaw;
-            at.in_world = true;
-            return at;
+            return to_and_fro(track, now_s);
           });
     } catch (...) {
       fault = std::current_exception();

@@ -23,6 +23,8 @@
 
 #include "protocol/surgeon.hpp"
 #include "soak/force_watcher.hpp"
+#include "soak/long_session.hpp"
+#include "support/client_options.hpp"
 #include "support/process.hpp"
 #include "support/process_facts.hpp"
 #include "support/test_session.hpp"
@@ -36,10 +38,6 @@ namespace {
 using Bytes = std::vector<std::uint8_t>;
 using Random = std::mt19937_64;
 
-const std::string kFolder = SUTURED_SOURCE_DIR "/server/scenes/anastomosis/";
-// As in its scene.toml.
-constexpr double kMaxForce_n = 3.3;
-constexpr double kMaxSlew_n_per_s = 500.0;
 // Within 50 ms of the last force, and a tick or two to see it.
 constexpr std::chrono::milliseconds kFaded{60};
 constexpr std::size_t kHeader = 20;  // "RTPS", version, vendor, GUID prefix
@@ -231,14 +229,7 @@ class Hand {
           longest_ns_ = std::max<std::int64_t>(longest_ns_, silence.count());
           const double now_s =
               std::chrono::duration<double>(std::chrono::steady_clock::now() - begun_).count();
-          const double phase_s = std::fmod(now_s, 2.0 * track_.end_s());
-          const auto pose = track_.at(std::min(phase_s, 2.0 * track_.end_s() - phase_s));
-          suture::Hand hand;
-          hand.position_m = pose.position_m;
-          hand.orientation_xyzw = pose.orientation_xyzw;
-          hand.jaw = pose.jaw;
-          hand.in_world = true;
-          return hand;
+          return to_and_fro(track_, now_s);
         });
       } catch (const suture::Error& error) {
         std::printf("  the device: %s\n", error.what());
@@ -262,13 +253,10 @@ struct Options {
   bool discovery = false;
 };
 
-/// Commands the server to go on, until it has answered.
+/// Commands the server to go on; three times where it does not answer, and says so.
 void resume(const suture::ParticipantOptions& session) {
-  suture::SessionOptions options;
-  options.domain = session.domain;
-  options.session = session.session;
   for (int tries = 3; tries > 0; --tries) try {
-      suture::Session(options).command(suture::CommandKind::kResume);
+      suture::Session(testing::client_options(session)).command(suture::CommandKind::kResume);
       return;
     } catch (const suture::Error& error) {
       std::printf("  resume: %s\n", error.what());

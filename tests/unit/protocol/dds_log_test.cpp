@@ -6,12 +6,14 @@
 #include <gtest/gtest.h>
 
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace suture {
 namespace {
 
 using ::testing::Contains;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
 class DdsLogTest : public ::testing::Test {
@@ -41,9 +43,17 @@ TEST_F(DdsLogTest, TellsAFewLinesAPeriodAndHowManyWereLeftOut) {
   EXPECT_EQ(told_.back(), "error: of the next");
 }
 
-TEST_F(DdsLogTest, WhatFailsToTellIsCounted) {
-  DdsLog failing([](bool, const std::string&) { throw 1; });
-  failing.hear(false, "a line", DdsLog::Clock::now());
+TEST(DdsLog, WhatFailsToTellIsCounted) {
+  std::vector<std::string> told;
+  bool fails = true;
+  DdsLog log([&](bool, const std::string& line) {
+    if (std::exchange(fails, false)) throw 1;
+    told.push_back(line);
+  });
+  const auto begun = DdsLog::Clock::time_point(std::chrono::hours(1));
+  log.hear(false, "a line", begun);
+  log.hear(false, "another", begun + DdsLog::kPeriod);
+  EXPECT_THAT(told, ElementsAre("1 more lines of DDS were left out", "another"));
 }
 
 }  // namespace
