@@ -24,7 +24,7 @@ struct Scene;
 namespace sutured::checkpoints {
 
 /// Raised whenever the bytes of a state change: what an older one wrote is refused.
-inline constexpr std::uint32_t kVersion = 2;
+inline constexpr std::uint32_t kVersion = 3;
 
 /// A checkpoint that cannot be written or used: `what()` names the file, the reason and the mend.
 struct CheckpointError : std::runtime_error {

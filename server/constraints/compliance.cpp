@@ -3,7 +3,7 @@
 
 #include <algorithm>
 #include <array>
-#include <numeric>
+#include <concepts>
 #include <utility>
 
 #include "fem/simd_kernel.hpp"
@@ -11,17 +11,37 @@
 namespace sutured::constraints {
 namespace {
 
-/// t += c0 g0 + c1 g1 + c2 g2, the three rows of one vertex.
-SUTURED_KERNEL void add_three_rows(const double* g, std::int64_t stride, const double* c,
-                                   std::int64_t count, double* t) {
-  const double *g0 = g, *g1 = g + stride, *g2 = g + 2 * stride;
+/// t += Σ c · g over the three rows of each of 1, 2, 3 or 4 vertices: t is read and written once
+/// for all of them.
+SUTURED_KERNEL void add_one(const double* const* g, std::int64_t stride, const double* c,
+                            std::int64_t count, double* t) {
+  const double* a = g[0];
 #pragma omp simd
-  for (std::int64_t i = 0; i < count; ++i) t[i] += c[0] * g0[i] + c[1] * g1[i] + c[2] * g2[i];
+  for (std::int64_t i = 0; i < count; ++i)
+    t[i] += c[0] * a[i] + c[1] * a[i + stride] + c[2] * a[i + 2 * stride];
 }
 
-/// The same over the twelve rows of four vertices, so that t is read and written once for all.
-SUTURED_KERNEL void add_twelve_rows(const double* const* g, std::int64_t stride, const double* c,
-                                    std::int64_t count, double* t) {
+SUTURED_KERNEL void add_two(const double* const* g, std::int64_t stride, const double* c,
+                            std::int64_t count, double* t) {
+  const double *a = g[0], *b = g[1];
+#pragma omp simd
+  for (std::int64_t i = 0; i < count; ++i)
+    t[i] += (c[0] * a[i] + c[1] * a[i + stride] + c[2] * a[i + 2 * stride]) +
+            (c[3] * b[i] + c[4] * b[i + stride] + c[5] * b[i + 2 * stride]);
+}
+
+SUTURED_KERNEL void add_three(const double* const* g, std::int64_t stride, const double* c,
+                              std::int64_t count, double* t) {
+  const double *a = g[0], *b = g[1], *d = g[2];
+#pragma omp simd
+  for (std::int64_t i = 0; i < count; ++i)
+    t[i] += (c[0] * a[i] + c[1] * a[i + stride] + c[2] * a[i + 2 * stride]) +
+            (c[3] * b[i] + c[4] * b[i + stride] + c[5] * b[i + 2 * stride]) +
+            (c[6] * d[i] + c[7] * d[i + stride] + c[8] * d[i + 2 * stride]);
+}
+
+SUTURED_KERNEL void add_four(const double* const* g, std::int64_t stride, const double* c,
+                             std::int64_t count, double* t) {
   const double *a = g[0], *b = g[1], *d = g[2], *e = g[3];
 #pragma omp simd
   for (std::int64_t i = 0; i < count; ++i)
@@ -31,380 +51,272 @@ SUTURED_KERNEL void add_twelve_rows(const double* const* g, std::int64_t stride,
             (c[9] * e[i] + c[10] * e[i + stride] + c[11] * e[i + 2 * stride]);
 }
 
-/// out[j] = Σ over the entries of row j of c · t[slot], for the first `rows` rows; four lanes at a
-/// time: each coefficient carries a zero behind it. Entries of row j: first[j] … first[j + 1].
+constexpr std::array kAdd{add_one, add_two, add_three, add_four};
+
+// Rows of T that `sparse_products` takes at a time.
+constexpr std::size_t kRowsAtOnce = 4;
+
+/// out[4 j + r] = Σ over the entries of row j of c · t[r][slot], for the first `rows` rows of C and
+/// four rows of T; four lanes at a time: each coefficient carries a zero behind it. Entries of row
+/// j: first[j] … first[j + 1].
 SUTURED_KERNEL void sparse_products(const double* coefficient, const int* offset,
-                                    const std::int32_t* first, int rows, const double* t,
-                                    double* out) {
-  for (int j = 0; j < rows; ++j) {
-    double sum[4] = {0.0, 0.0, 0.0, 0.0};
+                                    const std::int32_t* first, std::size_t rows,
+                                    const double* const* t, double* out) {
+  const double *t0 = t[0], *t1 = t[1], *t2 = t[2], *t3 = t[3];
+  for (std::size_t j = 0; j < rows; ++j) {
+    double sum0[4] = {}, sum1[4] = {}, sum2[4] = {}, sum3[4] = {};
     for (std::int32_t e = first[j]; e < first[j + 1]; ++e) {
-      const double *c = coefficient + 4 * e, *x = t + offset[e];
+      const double* c = coefficient + 4 * e;
+      const int x = offset[e];
 #pragma omp simd
-      for (int k = 0; k < 4; ++k) sum[k] += c[k] * x[k];
+      for (int k = 0; k < 4; ++k) {
+        sum0[k] += c[k] * t0[x + k];
+        sum1[k] += c[k] * t1[x + k];
+        sum2[k] += c[k] * t2[x + k];
+        sum3[k] += c[k] * t3[x + k];
+      }
     }
-    out[j] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+    out[4 * j] = (sum0[0] + sum0[1]) + (sum0[2] + sum0[3]);
+    out[4 * j + 1] = (sum1[0] + sum1[1]) + (sum1[2] + sum1[3]);
+    out[4 * j + 2] = (sum2[0] + sum2[1]) + (sum2[2] + sum2[3]);
+    out[4 * j + 3] = (sum3[0] + sum3[1]) + (sum3[2] + sum3[3]);
   }
 }
 
-// Rows of G lie an odd number of cache lines apart: a power of two would crowd into few sets.
-constexpr std::size_t kPitchPadding = 8;
 // Columns of G taken at a time, so that their share of G stays in the second-level cache.
-constexpr std::int64_t kBlockColumns = 96;
-// Columns of W that are mirrored together: a cache line of each stays in the first-level cache.
-constexpr std::size_t kTile = 32;
-// Vertices to begin with: the paper's scene fits.
-constexpr int kCapacity = 384;
-// Vertices that `prepare` takes at a time.
-constexpr std::size_t kPrepareBatch = 64;
-// From so many vertices that join on, their blocks of G are taken as matrix products.
-constexpr std::size_t kBatchMin = 4;
+constexpr std::int64_t kBlockColumns = 192;
+
+std::size_t at(std::integral auto i) { return static_cast<std::size_t>(i); }
 
 }  // namespace
 
 Compliance::Compliance(std::shared_ptr<const fem::CholeskyFactor> factor)
     : factor_(std::move(factor)),
-      slot_of_vertex_(static_cast<std::size_t>(factor_->vertex_count()), -1) {
-  grow(kCapacity);
-}
-
-void Compliance::grow(int capacity) {
-  const auto old = static_cast<std::size_t>(capacity_), now = static_cast<std::size_t>(capacity);
-  const std::size_t old_pitch = pitch_;
-  pitch_ = 3 * now + kPitchPadding;
-  std::vector<double> g(3 * now * pitch_, 0.0);
-  std::vector<std::uint8_t> known(now * now, 0);
-  for (std::size_t i = 0; i < 3 * old; ++i)
-    std::copy_n(g_.begin() + static_cast<std::ptrdiff_t>(i * old_pitch), 3 * old,
-                g.begin() + static_cast<std::ptrdiff_t>(i * pitch_));
-  for (std::size_t i = 0; i < old; ++i)
-    std::copy_n(known_.begin() + static_cast<std::ptrdiff_t>(i * old), old,
-                known.begin() + static_cast<std::ptrdiff_t>(i * now));
-  g_.swap(g);
-  known_.swap(known);
-  columns_.resize(now);
-  last_used_.resize(now, 0);
-  force_n_.resize(now, Vec3::Zero());
-  active_.reserve(now);
-  loaded_.reserve(now);
-  loads_.reserve(now);
-  capacity_ = capacity;
-}
-
-int Compliance::free_slot() {
-  int free = 0;
-  while (free < high_water_ && columns_[static_cast<std::size_t>(free)].vertex >= 0) ++free;
-  if (free == capacity_) grow(2 * capacity_);
-  high_water_ = std::max(high_water_, free + 1);
-  return free;
-}
-
-int Compliance::slot_of(std::int32_t vertex) {
-  int& slot = slot_of_vertex_[static_cast<std::size_t>(vertex)];
-  if (slot < 0) {
-    slot = free_slot();
-    factor_->walk_path(vertex, columns_[static_cast<std::size_t>(slot)]);
-    ++walks_;
-  }
-  last_used_[static_cast<std::size_t>(slot)] = step_;
-  return slot;
-}
-
-/// Walks the paths of all vertices that join with these rows, together.
-void Compliance::walk_new(const ConstraintRows& rows) {
-  new_vertices_.clear();
-  for (int i = 0; i < rows.size(); ++i)
-    for (const Entry& entry : rows.entries(rows[i]))
-      if (slot_of_vertex_[static_cast<std::size_t>(entry.vertex)] < 0)
-        new_vertices_.push_back(entry.vertex);
-  std::sort(new_vertices_.begin(), new_vertices_.end());
-  new_vertices_.erase(std::unique(new_vertices_.begin(), new_vertices_.end()), new_vertices_.end());
-  walk(new_vertices_);
-}
-
-/// Gives each of `vertices`, none of which is known, a slot and its path.
-void Compliance::walk(std::span<const std::int32_t> vertices) {
-  if (vertices.empty()) return;
-  for (const std::int32_t vertex : vertices) {
-    const int slot = free_slot();
-    columns_[static_cast<std::size_t>(slot)].vertex = vertex;  // taken
-    slot_of_vertex_[static_cast<std::size_t>(vertex)] = slot;
-  }
-  new_columns_.clear();  // only now: taking slots may have moved them
-  for (const std::int32_t vertex : vertices) {
-    const int slot = slot_of_vertex_[static_cast<std::size_t>(vertex)];
-    new_columns_.push_back(&columns_[static_cast<std::size_t>(slot)]);
-  }
-  factor_->walk_paths(vertices, new_columns_);
-  walks_ += vertices.size();
+      force_n_(at(factor_->vertex_count()), Vec3::Zero()),
+      is_loaded_(at(factor_->vertex_count()), 0) {
+  for (std::int32_t v = 0; v < factor_->vertex_count(); ++v)
+    part_of_.push_back(factor_->part_of(v));
+  parts_.reserve(at(factor_->part_count()));
+  for (std::int32_t p = 0; p < factor_->part_count(); ++p)
+    parts_.push_back({InverseBlocks(factor_, p), {}, {}, {}, {}, {}, {}});
 }
 
 void Compliance::prepare(std::span<const std::int32_t> vertices) {
-  if (static_cast<int>(vertices.size()) + kCapacity > capacity_)
-    grow(static_cast<int>(vertices.size()) + kCapacity);
-  // A few at a time, so that what their products are taken from stays small.
-  for (std::size_t first = 0; first < vertices.size(); first += kPrepareBatch) {
-    walk(vertices.subspan(first, std::min(kPrepareBatch, vertices.size() - first)));
-    active_.resize(static_cast<std::size_t>(high_water_));
-    std::iota(active_.begin(), active_.end(), 0);
-    ensure_pairs();
-  }
-  active_.clear();
-  prepared_ = static_cast<int>(vertices.size());
-}
-
-void Compliance::ensure_pair(int a, int b) {
-  const auto i = static_cast<std::size_t>(a), j = static_cast<std::size_t>(b);
-  const auto n = static_cast<std::size_t>(capacity_);
-  if (known_[i * n + j]) return;
-  const fem::Mat3 block = factor_->inverse_block(columns_[i], columns_[j]);
-  for (int r = 0; r < 3; ++r)
-    for (int c = 0; c < 3; ++c)
-      g_row(3 * a + r)[3 * b + c] = g_row(3 * b + c)[3 * a + r] = block(r, c);
-  known_[i * n + j] = known_[j * n + i] = 1;
-}
-
-/// Computes G between slots `a` and `b`, as one matrix product a supernode.
-void Compliance::make_pairs(std::span<const int> a, std::span<const int> b) {
-  if (a.empty() || b.empty()) return;
-  const auto gather = [&](std::span<const int> slots, std::vector<const fem::PathColumns*>& out) {
-    out.clear();
-    for (const int slot : slots) out.push_back(&columns_[static_cast<std::size_t>(slot)]);
-  };
-  gather(a, columns_a_);
-  gather(b, columns_b_);
-  factor_->inverse_blocks(columns_a_, columns_b_, new_blocks_);
-  const std::size_t rows = 3 * a.size();
-  const auto n = static_cast<std::size_t>(capacity_);
-  for (std::size_t k = 0; k < b.size(); ++k)
-    for (std::size_t l = 0; l < a.size(); ++l) {
-      const int i = a[l], j = b[k];
-      const double* block = new_blocks_.data() + 3 * k * rows + 3 * l;
-      for (int r = 0; r < 3; ++r)
-        for (int c = 0; c < 3; ++c)
-          g_row(3 * i + r)[3 * j + c] = g_row(3 * j + c)[3 * i + r] =
-              block[static_cast<std::size_t>(c) * rows + static_cast<std::size_t>(r)];
-      known_[static_cast<std::size_t>(i) * n + static_cast<std::size_t>(j)] =
-          known_[static_cast<std::size_t>(j) * n + static_cast<std::size_t>(i)] = 1;
-    }
-}
-
-/// Sees that G holds every pair of active vertices.
-void Compliance::ensure_pairs() {
-  if (active_ == paired_) return;
-  const auto lacks_one_of = [&](int slot, std::span<const int> others) {
-    const auto* known =
-        known_.data() + static_cast<std::size_t>(slot) * static_cast<std::size_t>(capacity_);
-    return !std::binary_search(paired_.begin(), paired_.end(), slot) &&
-           std::any_of(others.begin(), others.end(), [&](int other) { return !known[other]; });
-  };
-  // The prepared know each other: they may lack only unprepared ones that do not join with all.
-  joining_.clear();
-  joining_prepared_.clear();
-  unprepared_.clear();
-  const auto prepared_end = std::lower_bound(active_.begin(), active_.end(), prepared_);
-  for (auto slot = prepared_end; slot != active_.end(); ++slot)
-    (lacks_one_of(*slot, active_) ? joining_ : unprepared_).push_back(*slot);
-  for (auto slot = active_.begin(); slot != prepared_end; ++slot)
-    if (lacks_one_of(*slot, unprepared_)) joining_prepared_.push_back(*slot);
-  if (joining_.size() + joining_prepared_.size() >= kBatchMin) {
-    make_pairs(joining_, active_);
-    make_pairs(joining_prepared_, unprepared_);
-  } else {
-    for (const int slot : joining_)
-      for (const int other : active_) ensure_pair(slot, other);
-    for (const int slot : joining_prepared_)
-      for (const int other : unprepared_) ensure_pair(slot, other);
-  }
-  paired_ = active_;
+  std::vector<std::vector<std::int32_t>> of_part(parts_.size());
+  for (const std::int32_t vertex : vertices) of_part[at(part_of_[at(vertex)])].push_back(vertex);
+  for (std::size_t p = 0; p < parts_.size(); ++p) parts_[p].inverse.prepare(of_part[p]);
 }
 
 void Compliance::clear() {
-  for (int slot = prepared_; slot < high_water_; ++slot) forget(slot);
-  std::fill(last_used_.begin(), last_used_.end(), std::uint64_t{0});
+  for (Part& part : parts_) part.inverse.clear();
   std::fill(force_n_.begin(), force_n_.end(), Vec3::Zero());
-  active_.clear();
+  std::fill(is_loaded_.begin(), is_loaded_.end(), std::uint8_t{0});
   loaded_.clear();
-  high_water_ = prepared_;
-  paired_.resize(static_cast<std::size_t>(prepared_));
-  std::iota(paired_.begin(), paired_.end(), 0);
   step_ = 0;
 }
 
-void Compliance::forget(int slot) {
-  const auto s = static_cast<std::size_t>(slot), n = static_cast<std::size_t>(capacity_);
-  std::int32_t& vertex = columns_[s].vertex;
-  if (vertex < 0) return;
-  slot_of_vertex_[static_cast<std::size_t>(vertex)] = -1;
-  vertex = -1;
-  std::erase(paired_, slot);
-  for (std::size_t other = 0; other < n; ++other) known_[s * n + other] = known_[other * n + s] = 0;
-}
-
 void Compliance::evict(int idle_steps_max) {
-  for (int slot = prepared_; slot < high_water_; ++slot) {
-    if (last_used_[static_cast<std::size_t>(slot)] + static_cast<std::uint64_t>(idle_steps_max) >=
-        step_)
-      continue;
-    if (std::find(loaded_.begin(), loaded_.end(), slot) != loaded_.end()) continue;
-    forget(slot);
-  }
-  while (high_water_ > prepared_ && columns_[static_cast<std::size_t>(high_water_ - 1)].vertex < 0)
-    --high_water_;
+  const auto idle = static_cast<std::uint64_t>(idle_steps_max);
+  if (step_ <= idle) return;
+  for (Part& part : parts_) part.inverse.evict(step_ - idle, loaded_);
 }
 
-const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
-                                             std::span<const NeedleMobility> needles) {
-  ++step_;
-  const int m = rows.size();
-  walk_new(rows);
-  active_.clear();
+/// Gives every vertex of the rows its slot, and G every pair of a part.
+void Compliance::take_vertices(const ConstraintRows& rows) {
+  for (Part& part : parts_) {
+    part.new_vertices.clear();
+    part.active.clear();
+  }
+  for (int i = 0; i < rows.size(); ++i)
+    for (const Entry& entry : rows.entries(rows[i]))
+      if (Part& part = part_of(entry.vertex); part.inverse.find(entry.vertex) < 0)
+        part.new_vertices.push_back(entry.vertex);
+  for (Part& part : parts_) {
+    auto& vertices = part.new_vertices;
+    std::sort(vertices.begin(), vertices.end());
+    vertices.erase(std::unique(vertices.begin(), vertices.end()), vertices.end());
+    part.inverse.add(vertices);
+  }
   entry_slot_.clear();
-  for (int i = 0; i < m; ++i)
+  for (int i = 0; i < rows.size(); ++i)
     for (const Entry& entry : rows.entries(rows[i])) {
-      const int slot = slot_of_vertex_[static_cast<std::size_t>(entry.vertex)];
+      Part& part = part_of(entry.vertex);
+      const int slot = part.inverse.find(entry.vertex);
       entry_slot_.push_back(slot);
-      if (std::exchange(last_used_[static_cast<std::size_t>(slot)], step_) != step_)
-        active_.push_back(slot);
+      if (part.inverse.use(slot, step_)) part.active.push_back(slot);
     }
-  std::sort(active_.begin(), active_.end());
-  ensure_pairs();
+  for (Part& part : parts_) {
+    std::sort(part.active.begin(), part.active.end());
+    part.inverse.ensure_pairs(part.active);
+  }
+}
 
-  w_.size = m;
-  w_.value.resize(static_cast<std::size_t>(m) * static_cast<std::size_t>(m));
-  const auto stride = static_cast<std::int64_t>(pitch_);
-  // In the order of their last vertex, a row needs T = C G only as far as that vertex: W is
-  // symmetric, and of two rows the later one takes the product.
-  order_.resize(static_cast<std::size_t>(m));
-  row_width_.resize(static_cast<std::size_t>(m));
+/// Orders the rows by their last slot, and lays their entries out for both products. In that order
+/// a row needs T = C G only as far as the slots of rows before it: W is symmetric, and of two rows
+/// the later one takes the product.
+void Compliance::order_rows(const ConstraintRows& rows) {
+  const int m = rows.size();
+  order_.resize(at(m));
+  last_slot_.resize(at(m));
   for (int i = 0; i < m; ++i) {
     const auto begin = entry_slot_.begin() + rows[i].first_entry;
     int last = -1;
     for (auto slot = begin; slot != begin + rows[i].entry_count; ++slot)
       last = std::max(last, *slot);
-    row_width_[static_cast<std::size_t>(i)] = 3 * (last + 1);
-    order_[static_cast<std::size_t>(i)] = i;
+    last_slot_[at(i)] = last;
+    order_[at(i)] = i;
   }
   std::sort(order_.begin(), order_.end(), [&](int a, int b) {
-    return std::pair(row_width_[static_cast<std::size_t>(a)], a) <
-           std::pair(row_width_[static_cast<std::size_t>(b)], b);
+    return std::pair(last_slot_[at(a)], a) < std::pair(last_slot_[at(b)], b);
   });
-  // T, a block of columns at a time; a row of it is padded by one lane.
-  const auto width = static_cast<std::int64_t>(3) * high_water_;
-  const auto pitch = width + 1;
-  row_times_g_.resize(static_cast<std::size_t>(m) * static_cast<std::size_t>(pitch));
-  for (std::int64_t first = 0; first < width; first += kBlockColumns) {
-    const auto used = std::lower_bound(active_.begin(), active_.end(), first / 3);
-    if (used == active_.end() || 3 * *used >= first + kBlockColumns) {  // nobody's columns
-      for (const int i : order_)  // but the lane behind the block before
-        if (row_width_[static_cast<std::size_t>(i)] >= first)
-          row_times_g_[static_cast<std::size_t>(i * pitch + first)] = 0.0;
-      continue;
-    }
-    for (const int i : order_) {
-      const auto count = std::min(kBlockColumns, row_width_[static_cast<std::size_t>(i)] - first);
-      if (count <= 0) continue;
-      const auto entries = rows.entries(rows[i]);
-      double* t = row_times_g_.data() + i * pitch + first;
-      const int* slot = entry_slot_.data() + rows[i].first_entry;
-      std::fill_n(t, count + 1, 0.0);
-      std::size_t e = 0;
-      for (; e + 4 <= entries.size(); e += 4) {
-        std::array<const double*, 4> g;
-        std::array<double, 12> c;
-        for (std::size_t k = 0; k < 4; ++k) {
-          g[k] = g_row(3 * slot[e + k]) + first;
-          std::copy_n(entries[e + k].coefficient.data(), 3,
-                      c.begin() + static_cast<std::ptrdiff_t>(3 * k));
-        }
-        add_twelve_rows(g.data(), stride, c.data(), count, t);
-      }
-      for (; e < entries.size(); ++e)
-        add_three_rows(g_row(3 * slot[e]) + first, stride, entries[e].coefficient.data(), count, t);
-    }
+  row_pitch_ = 0;
+  for (Part& part : parts_) {
+    part.offset = row_pitch_;
+    row_pitch_ += 3 * part.inverse.slots() + 1;  // four are read where three are meant
+    part.slot.clear();
+    part.coefficient.clear();
+    part.first_entry.assign(1, 0);
+    part.width.clear();
   }
-  // W = T Cᵀ and what belongs to needles; C in that order, so that it is read from end to end.
   entry_offset_.clear();
-  entry_coefficient_.resize(4 * entry_slot_.size());
-  row_first_.clear();
+  entry_coefficient_.clear();
+  first_entry_.assign(1, 0);
   for (const int i : order_) {
-    row_first_.push_back(static_cast<std::int32_t>(entry_offset_.size()));
     const auto entries = rows.entries(rows[i]);
     for (std::size_t e = 0; e < entries.size(); ++e) {
+      Part& part = part_of(entries[e].vertex);
+      const int slot = entry_slot_[at(rows[i].first_entry) + e];
       const Vec3& c = entries[e].coefficient;
-      std::copy_n(
-          std::array<double, 4>{c[0], c[1], c[2], 0.0}.begin(), 4,
-          entry_coefficient_.begin() + static_cast<std::ptrdiff_t>(4 * entry_offset_.size()));
-      entry_offset_.push_back(3 * entry_slot_[static_cast<std::size_t>(rows[i].first_entry) + e]);
+      part.slot.push_back(slot);
+      part.coefficient.insert(part.coefficient.end(), {c[0], c[1], c[2]});
+      entry_offset_.push_back(static_cast<std::int32_t>(part.offset + 3 * slot));
+      entry_coefficient_.insert(entry_coefficient_.end(), {c[0], c[1], c[2], 0.0});
+    }
+    first_entry_.push_back(static_cast<std::int32_t>(entry_offset_.size()));
+    for (Part& part : parts_) {
+      std::int64_t width = part.width.empty() ? 0 : part.width.back();
+      for (std::size_t e = at(part.first_entry.back()); e < part.slot.size(); ++e)
+        width = std::max<std::int64_t>(width, 3 * (part.slot[e] + 1));
+      part.first_entry.push_back(static_cast<std::int32_t>(part.slot.size()));
+      part.width.push_back(width);
     }
   }
-  row_first_.push_back(static_cast<std::int32_t>(entry_offset_.size()));
-  products_.resize(static_cast<std::size_t>(m));
-  for (int k = 0; k < m; ++k) {
-    const int i = order_[static_cast<std::size_t>(k)];
-    const Row& row = rows[i];
-    const double* t = row_times_g_.data() + i * pitch;
-    double* column = w_.value.data() + static_cast<std::size_t>(i) * static_cast<std::size_t>(m);
-    sparse_products(entry_coefficient_.data(), entry_offset_.data(), row_first_.data(), k + 1, t,
-                    products_.data());
-    for (int other = 0; other <= k; ++other)
-      column[order_[static_cast<std::size_t>(other)]] = products_[static_cast<std::size_t>(other)];
-    column[i] += row.compliance_m_per_n;
+}
+
+/// T = C G in the columns of one part, a block of them at a time.
+void Compliance::multiply_by_inverse(Part& part) {
+  const std::int64_t stride = part.inverse.pitch();
+  const std::int64_t end = part.width.empty() ? 0 : part.width.back();
+  for (std::int64_t first = 0; first < end; first += kBlockColumns) {
+    const auto used = std::lower_bound(part.active.begin(), part.active.end(), first / 3);
+    if (used == part.active.end() || 3 * *used >= first + kBlockColumns) continue;  // by nobody
+    for (std::size_t k = 0; k < order_.size(); ++k) {
+      const std::int64_t count = std::min(kBlockColumns, part.width[k] - first);
+      if (count <= 0) continue;
+      double* t =
+          row_times_g_.data() + static_cast<std::int64_t>(k) * row_pitch_ + part.offset + first;
+      std::fill_n(t, count + 1, 0.0);  // and the lane behind them
+      const auto last = at(part.first_entry[k + 1]);
+      for (std::size_t e = at(part.first_entry[k]); e < last;) {
+        const std::size_t taken = std::min(kAdd.size(), last - e);
+        std::array<const double*, kAdd.size()> g{};
+        for (std::size_t i = 0; i < taken; ++i)
+          g[i] = part.inverse.row(part.slot[e + i], 0) + first;
+        kAdd[taken - 1](g.data(), stride, part.coefficient.data() + 3 * e, count, t);
+        e += taken;
+      }
+    }
   }
-  const auto at = [&](int row, int column) -> double& {
-    return w_.value[static_cast<std::size_t>(column) * static_cast<std::size_t>(m) +
-                    static_cast<std::size_t>(row)];
-  };
-  // The other triangle, a tile at a time: its lines lie a column apart.
-  for (std::size_t first = 0; first < order_.size(); first += kTile)
-    for (std::size_t k = first; k < order_.size(); ++k)
-      for (std::size_t other = first; other < std::min(first + kTile, k); ++other)
-        at(order_[k], order_[other]) = at(order_[other], order_[k]);
+}
+
+/// W = T Cᵀ + ε, both triangles.
+void Compliance::multiply_by_rows(const ConstraintRows& rows) {
+  const std::size_t m = order_.size();
+  products_.resize(kRowsAtOnce * m);
+  double* w = w_.value.data();
+  for (std::size_t first = 0; first < m; first += kRowsAtOnce) {
+    const std::size_t end = std::min(first + kRowsAtOnce, m);
+    std::array<const double*, kRowsAtOnce> t{};
+    for (std::size_t r = 0; r < kRowsAtOnce; ++r)  // the last once more, for a full number
+      t[r] = row_times_g_.data() + std::min(first + r, m - 1) * at(row_pitch_);
+    sparse_products(entry_coefficient_.data(), entry_offset_.data(), first_entry_.data(), end,
+                    t.data(), products_.data());
+    for (std::size_t other = 0; other < end; ++other) {
+      const std::size_t j = at(order_[other]);
+      for (std::size_t k = std::max(first, other); k < end; ++k) {  // the later row's product
+        const std::size_t i = at(order_[k]);
+        w[j * m + i] = w[i * m + j] = products_[kRowsAtOnce * other + k - first];
+      }
+    }
+  }
+  for (std::size_t i = 0; i < m; ++i) w[i * m + i] += rows[static_cast<int>(i)].compliance_m_per_n;
+}
+
+/// W += J M Jᵀ + β k kᵀ.
+void Compliance::add_needles(const ConstraintRows& rows, std::span<const NeedleMobility> needles) {
+  const int m = rows.size();
+  double* w = w_.value.data();
   for (int i = 0; i < m; ++i) {
     const Row& row = rows[i];
     if (row.needle < 0) continue;
-    const NeedleMobility& needle = needles[static_cast<std::size_t>(row.needle)];
+    const NeedleMobility& needle = needles[at(row.needle)];
     const Vec6 response = needle.mobility * row.needle_jacobian;
     for (int j = 0; j <= i; ++j) {
       const Row& other = rows[j];
       if (other.needle != row.needle) continue;
       const double sum = response.dot(other.needle_jacobian) +
                          needle.slide_compliance_m_per_n * row.slide * other.slide;
-      at(i, j) += sum;
-      if (i != j) at(j, i) += sum;
+      w[at(j) * at(m) + at(i)] += sum;
+      if (i != j) w[at(i) * at(m) + at(j)] += sum;
     }
   }
+}
+
+const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
+                                             std::span<const NeedleMobility> needles) {
+  ++step_;
+  take_vertices(rows);
+  order_rows(rows);
+  w_.size = rows.size();
+  w_.value.resize(at(rows.size()) * at(rows.size()));
+  row_times_g_.resize(at(rows.size()) * at(row_pitch_));
+  for (Part& part : parts_) multiply_by_inverse(part);
+  multiply_by_rows(rows);
+  add_needles(rows, needles);
   return w_;
 }
 
 void Compliance::apply(const ConstraintRows& rows, std::span<const double> multiplier_n) {
-  for (const int slot : loaded_) force_n_[static_cast<std::size_t>(slot)].setZero();
+  for (const std::int32_t vertex : loaded_) {
+    force_n_[at(vertex)].setZero();
+    is_loaded_[at(vertex)] = 0;
+  }
   loaded_.clear();
   for (int i = 0; i < rows.size(); ++i) {
-    const double lambda_n = multiplier_n[static_cast<std::size_t>(i)];
+    const double lambda_n = multiplier_n[at(i)];
     if (lambda_n == 0.0) continue;
     for (const Entry& entry : rows.entries(rows[i])) {
-      const int slot = slot_of_vertex_[static_cast<std::size_t>(entry.vertex)];
-      force_n_[static_cast<std::size_t>(slot)] += lambda_n * entry.coefficient;
-      loaded_.push_back(slot);
+      force_n_[at(entry.vertex)] += lambda_n * entry.coefficient;
+      if (!std::exchange(is_loaded_[at(entry.vertex)], std::uint8_t{1}))
+        loaded_.push_back(entry.vertex);
     }
   }
-  // In the order of vertices: slots tell what was in use before, and sums must not depend on that.
-  std::sort(loaded_.begin(), loaded_.end(), [&](int a, int b) {
-    return columns_[static_cast<std::size_t>(a)].vertex <
-           columns_[static_cast<std::size_t>(b)].vertex;
-  });
-  loaded_.erase(std::unique(loaded_.begin(), loaded_.end()), loaded_.end());
+  std::sort(loaded_.begin(), loaded_.end());  // sums must not depend on the order of rows
 }
 
 Vec3 Compliance::displacement_m(std::int32_t vertex) {
-  const int slot = slot_of(vertex);
+  InverseBlocks& inverse = part_of(vertex).inverse;
+  int slot = inverse.find(vertex);
+  if (slot < 0) slot = inverse.add(vertex);
+  inverse.use(slot, step_);
   Vec3 u = Vec3::Zero();
-  for (const int other : loaded_) {
-    ensure_pair(slot, other);
+  for (const std::int32_t other : loaded_) {
+    if (part_of_[at(other)] != part_of_[at(vertex)]) continue;
+    const int column = inverse.find(other);
+    inverse.ensure_pair(slot, column);
+    const Vec3& f = force_n_[at(other)];
     for (int r = 0; r < 3; ++r) {
-      const double* g = g_row(3 * slot + r) + 3 * other;
-      const Vec3& f = force_n_[static_cast<std::size_t>(other)];
+      const double* g = inverse.row(slot, r) + 3 * column;
       u[r] += g[0] * f[0] + g[1] * f[1] + g[2] * f[2];
     }
   }
@@ -413,77 +325,51 @@ Vec3 Compliance::displacement_m(std::int32_t vertex) {
 
 void Compliance::displacements_m(std::span<const double> offset, std::span<double> u) {
   loads_.clear();
-  for (const int slot : loaded_)
-    loads_.push_back(
-        {&columns_[static_cast<std::size_t>(slot)], force_n_[static_cast<std::size_t>(slot)]});
+  for (const std::int32_t vertex : loaded_) {
+    const InverseBlocks& inverse = part_of(vertex).inverse;
+    loads_.push_back({&inverse.columns(inverse.find(vertex)), force_n_[at(vertex)]});
+  }
   factor_->backward(loads_, offset, u);
 }
 
 void Compliance::serialize(Archive& archive) {
   if (archive.reads()) clear();
-  if (archive.keeps_caches()) serialize_slots(archive);
-  // The forces, by vertex.
+  if (archive.keeps_caches()) {
+    archive(step_);
+    for (Part& part : parts_) part.inverse.serialize(archive);
+  }
   std::vector<std::pair<std::int32_t, Vec3>> forces;
-  for (const int slot : loaded_)
-    forces.emplace_back(columns_[static_cast<std::size_t>(slot)].vertex,
-                        force_n_[static_cast<std::size_t>(slot)]);
+  for (const std::int32_t vertex : loaded_) forces.emplace_back(vertex, force_n_[at(vertex)]);
   archive(forces);
   if (!archive.reads()) return;
-  new_vertices_.clear();
+  for (Part& part : parts_) part.new_vertices.clear();
   for (const auto& [vertex, _] : forces) {
-    if (vertex < 0 || static_cast<std::size_t>(vertex) >= slot_of_vertex_.size())
+    if (vertex < 0 || at(vertex) >= part_of_.size() ||
+        (!loaded_.empty() && vertex <= loaded_.back()))
       throw ArchiveError("it is of another scene");
-    if (slot_of_vertex_[static_cast<std::size_t>(vertex)] < 0) new_vertices_.push_back(vertex);
+    loaded_.push_back(vertex);
+    is_loaded_[at(vertex)] = 1;
+    if (Part& part = part_of(vertex); part.inverse.find(vertex) < 0)
+      part.new_vertices.push_back(vertex);
   }
-  walk(new_vertices_);
+  for (Part& part : parts_) part.inverse.add(part.new_vertices);
   for (const auto& [vertex, force_n] : forces) {
-    const int slot = slot_of_vertex_[static_cast<std::size_t>(vertex)];
-    if (!archive.keeps_caches()) last_used_[static_cast<std::size_t>(slot)] = step_;
-    force_n_[static_cast<std::size_t>(slot)] = force_n;
-    loaded_.push_back(slot);
+    InverseBlocks& inverse = part_of(vertex).inverse;
+    if (!archive.keeps_caches()) inverse.use(inverse.find(vertex), step_);
+    force_n_[at(vertex)] = force_n;
   }
-}
-
-/// Archives what `assemble` keeps from step to step beyond the prepared slots, each in its place:
-/// the order of slots is the order of sums. Precondition when reading: nothing else is cached.
-void Compliance::serialize_slots(Archive& archive) {
-  int prepared = prepared_, used = high_water_;
-  archive(prepared, used, step_);
-  if (prepared != prepared_ || used < prepared ||
-      static_cast<std::size_t>(used) > slot_of_vertex_.size())
-    throw ArchiveError("it is of another scene");
-  while (used > capacity_) grow(2 * capacity_);
-  if (archive.reads()) high_water_ = used;
-  for (int slot = 0; slot < used; ++slot) archive(last_used_[static_cast<std::size_t>(slot)]);
-  const auto n = static_cast<std::size_t>(capacity_);
-  for (int slot = prepared; slot < used; ++slot) {
-    fem::PathColumns& columns = columns_[static_cast<std::size_t>(slot)];
-    archive(columns.vertex);
-    if (columns.vertex < 0) continue;
-    if (static_cast<std::size_t>(columns.vertex) >= slot_of_vertex_.size())
-      throw ArchiveError("it is of another scene");
-    slot_of_vertex_[static_cast<std::size_t>(columns.vertex)] = slot;
-    archive(columns);
-    // G is symmetric: each block once, with the slot that comes first.
-    for (int other = 0; other <= slot; ++other) {
-      std::uint8_t& known =
-          known_[static_cast<std::size_t>(slot) * n + static_cast<std::size_t>(other)];
-      archive(known);
-      known_[static_cast<std::size_t>(other) * n + static_cast<std::size_t>(slot)] = known;
-      if (!known) continue;
-      for (int r = 0; r < 3; ++r)
-        for (int c = 0; c < 3; ++c) {
-          archive(g_row(3 * slot + r)[3 * other + c]);
-          g_row(3 * other + c)[3 * slot + r] = g_row(3 * slot + r)[3 * other + c];
-        }
-    }
-  }
-  archive(paired_);
 }
 
 int Compliance::cached_vertices() const {
-  return static_cast<int>(std::count_if(columns_.begin(), columns_.begin() + high_water_,
-                                        [](const auto& column) { return column.vertex >= 0; }));
+  int sum = 0;
+  for (const Part& part : parts_) sum += part.inverse.cached_vertices();
+  return sum;
+}
+
+std::uint64_t Compliance::walks() const {
+  std::uint64_t sum = 0;
+  for (const Part& part : parts_) sum += part.inverse.walks();
+  return sum;
 }
 
 }  // namespace sutured::constraints

@@ -3,12 +3,9 @@
 //
 //     W = C K⁻¹ Cᵀ + ε + J M Jᵀ + β k kᵀ          (paper eq. 1, Schur complement)
 //
-//   G   K⁻¹ restricted to the vertices in use, 3 × 3 blocks: inner products of walked columns
+//   K⁻¹ only between the vertices of rows: G of each part of the tissue, inverse_blocks.hpp
 //   M   6 × 6 mobility of a needle (m/N …): its own six unknowns condensed
 //   β   slide compliance of a needle (m/N)
-//
-// G is kept from step to step: a vertex that joins costs one walk of its path and its inner
-// products; one that stays costs nothing.
 #pragma once
 
 #include <cstdint>
@@ -17,6 +14,7 @@
 #include <vector>
 
 #include "archive/archive.hpp"
+#include "constraints/inverse_blocks.hpp"
 #include "constraints/rows.hpp"
 #include "fem/cholesky_factor.hpp"
 
@@ -48,8 +46,8 @@ class Compliance {
 
   /// Walks the paths of `vertices` and multiplies their pairs before they are needed, and keeps
   /// them for good. Rows of vertices that stand close together here are short. Call at set-up, with
-  /// nothing cached. Cost for V vertices: V²/2 products of paths, 72 V² bytes of G, and their
-  /// paths.
+  /// nothing cached. Cost for V vertices of one part: V²/2 products of paths, 72 V² bytes of G, and
+  /// their paths.
   void prepare(std::span<const std::int32_t> vertices);
 
   /// Forgets vertices unused for `idle_steps_max` calls of `assemble`.
@@ -58,7 +56,8 @@ class Compliance {
   /// construction.
   void clear();
 
-  /// Condenses the tissue and the needles onto `rows`. Cost: O(4 m V) for V vertices in use.
+  /// Condenses the tissue and the needles onto `rows`. Cost: three products for each entry and each
+  /// vertex in use of its part.
   const ComplianceMatrix& assemble(const ConstraintRows& rows,
                                    std::span<const NeedleMobility> needles);
 
@@ -77,51 +76,46 @@ class Compliance {
   void serialize(Archive& archive);
 
   [[nodiscard]] int cached_vertices() const;
-  [[nodiscard]] std::uint64_t walks() const { return walks_; }
+  [[nodiscard]] std::uint64_t walks() const;
 
  private:
-  int slot_of(std::int32_t vertex);
-  int free_slot();
-  void serialize_slots(Archive& archive);
-  void walk_new(const ConstraintRows& rows);
-  void walk(std::span<const std::int32_t> vertices);
-  void forget(int slot);
-  void make_pairs(std::span<const int> a, std::span<const int> b);
-  void ensure_pairs();
-  void grow(int capacity);
-  void ensure_pair(int a, int b);
-  [[nodiscard]] double* g_row(int row) {
-    return g_.data() + static_cast<std::size_t>(row) * pitch_;
+  /// A part of the tissue, and what of the present rows lies in it.
+  struct Part {
+    InverseBlocks inverse;
+    std::vector<std::int32_t> new_vertices;  ///< not walked yet
+    std::vector<int> active;                 ///< slots, sorted
+    // The entries that lie here, row by row in the order of `order_`:
+    std::vector<int> slot;                  ///< per entry
+    std::vector<double> coefficient;        ///< 3 per entry
+    std::vector<std::int32_t> first_entry;  ///< m + 1: where a row's entries begin
+    std::vector<std::int64_t> width;        ///< per row: columns of T that W needs of it
+    std::int64_t offset = 0;                ///< of the part's columns in a row of T
+  };
+  [[nodiscard]] Part& part_of(std::int32_t vertex) {
+    return parts_[static_cast<std::size_t>(part_of_[static_cast<std::size_t>(vertex)])];
   }
+  void take_vertices(const ConstraintRows& rows);
+  void order_rows(const ConstraintRows& rows);
+  void multiply_by_inverse(Part& part);
+  void multiply_by_rows(const ConstraintRows& rows);
+  void add_needles(const ConstraintRows& rows, std::span<const NeedleMobility> needles);
 
   std::shared_ptr<const fem::CholeskyFactor> factor_;
-  int capacity_ = 0;
-  std::size_t pitch_ = 0;  ///< doubles from one row of G to the next
-  int high_water_ = 0;     ///< slots beyond it were never used
-  int prepared_ = 0;       ///< slots that are kept for good, the first
-  std::uint64_t step_ = 0, walks_ = 0;
-  std::vector<std::int32_t> slot_of_vertex_;  ///< −1 where not cached
-  std::vector<fem::PathColumns> columns_;     ///< per slot; vertex −1 where free
-  std::vector<std::uint64_t> last_used_;      ///< per slot
-  std::vector<double> g_;                     ///< 3 capacity rows, `pitch_` apart
-  std::vector<std::uint8_t> known_;           ///< capacity × capacity: pairs present in g_
-  std::vector<std::int32_t> new_vertices_;    ///< of the present rows
-  std::vector<fem::PathColumns*> new_columns_;
-  std::vector<const fem::PathColumns*> columns_a_, columns_b_;
-  std::vector<int> joining_, joining_prepared_, unprepared_;
-  std::vector<double> new_blocks_;
-  std::vector<int> paired_;                ///< slots whose pairs are all present
-  std::vector<int> active_;                ///< slots of the present rows
-  std::vector<int> entry_slot_;            ///< per entry of the present rows
-  std::vector<int> order_;                 ///< the rows, by their last slot
-  std::vector<int> entry_offset_;          ///< in that order: 3 × its slot
-  std::vector<double> entry_coefficient_;  ///< likewise, 4 per entry, the last zero
-  std::vector<std::int32_t> row_first_;    ///< likewise, m + 1: where a row's entries begin
-  std::vector<double> products_;           ///< of one row with those before it
-  std::vector<std::int64_t> row_width_;    ///< per row: columns of T that W needs of it
-  std::vector<double> row_times_g_;        ///< T = C G, rows padded by one
-  std::vector<Vec3> force_n_;              ///< per slot: Cᵀ λ
-  std::vector<int> loaded_;                ///< slots with a force
+  std::vector<std::int32_t> part_of_;  ///< per vertex
+  std::vector<Part> parts_;
+  std::uint64_t step_ = 0;
+  std::vector<int> entry_slot_;             ///< per entry of the present rows, in its part
+  std::vector<int> order_;                  ///< the rows, by their last slot
+  std::vector<int> last_slot_;              ///< per row
+  std::vector<std::int32_t> entry_offset_;  ///< in that order: where its columns of T begin
+  std::vector<double> entry_coefficient_;   ///< likewise, 4 per entry, the last zero
+  std::vector<std::int32_t> first_entry_;   ///< likewise, m + 1: where a row's entries begin
+  std::vector<double> products_;            ///< of four rows with those before them
+  std::vector<double> row_times_g_;         ///< T = C G, in that order; part after part
+  std::int64_t row_pitch_ = 0;              ///< from one row of T to the next
+  std::vector<Vec3> force_n_;               ///< per vertex: Cᵀ λ
+  std::vector<std::int32_t> loaded_;        ///< vertices with a force, sorted
+  std::vector<std::uint8_t> is_loaded_;     ///< per vertex
   std::vector<fem::PathLoad> loads_;
   ComplianceMatrix w_;
 };

@@ -248,7 +248,9 @@ struct CholeskyFactor::Impl {
   std::vector<std::int32_t> parent;           ///< per supernode, −1 at a root
   std::vector<std::int32_t> columns_to_root;  ///< per supernode, itself included
   std::vector<std::int32_t> level;            ///< per supernode, 0 at a root
-  std::vector<double> inverse_diagonal;       ///< 1 / L_jj: a product is faster than a division
+  std::vector<std::int32_t> part;             ///< per supernode: its root, counted from 0
+  std::int32_t part_count = 1;
+  std::vector<double> inverse_diagonal;  ///< 1 / L_jj: a product is faster than a division
   std::int64_t panel_rows_max = 0;
   /// Supernodes in the order of `backward`: first those near the roots, then two shares that do not
   /// depend on each other; all in `near_roots` where L is small.
@@ -358,6 +360,8 @@ CholeskyFactor::CholeskyFactor(const LinearSystem& system, std::int64_t shared_v
   m.parent.assign(supernodes, -1);
   m.columns_to_root.assign(supernodes, 0);
   m.level.assign(supernodes, 0);
+  m.part.assign(supernodes, 0);
+  std::int32_t roots = 0;
   for (std::size_t s = 0; s < supernodes; ++s)
     for (auto j = m.super()[s]; j < m.super()[s + 1]; ++j)
       m.supernode_of[static_cast<std::size_t>(j)] = static_cast<std::int32_t>(s);
@@ -366,12 +370,17 @@ CholeskyFactor::CholeskyFactor(const LinearSystem& system, std::int64_t shared_v
     const auto count = m.rows_start()[s + 1] - m.rows_start()[s];
     m.panel_rows_max = std::max(m.panel_rows_max, static_cast<std::int64_t>(count));
     m.columns_to_root[s] = static_cast<std::int32_t>(columns);
-    if (count == columns) continue;
+    if (count == columns) {
+      m.part[s] = roots++;
+      continue;
+    }
     const auto up = m.supernode_of[static_cast<std::size_t>(m.rows()[m.rows_start()[s] + columns])];
     m.parent[s] = up;
     m.columns_to_root[s] += m.columns_to_root[static_cast<std::size_t>(up)];
     m.level[s] = m.level[static_cast<std::size_t>(up)] + 1;
+    m.part[s] = m.part[static_cast<std::size_t>(up)];
   }
+  m.part_count = std::max(roots, 1);
   for (auto& panel : m.panels) panel.resize(static_cast<std::size_t>(m.panel_rows_max));
   m.unknowns.resize(static_cast<std::size_t>(m.size));
   m.share_backward(shared_values);
@@ -391,6 +400,15 @@ std::int32_t CholeskyFactor::vertex_count() const { return impl_->vertex_count; 
 std::int64_t CholeskyFactor::stored_values() const {
   return static_cast<std::int64_t>(impl_->factor->xsize);
 }
+
+std::int32_t CholeskyFactor::part_of(std::int32_t vertex) const {
+  for (std::size_t axis = 0; axis < 3; ++axis)
+    if (const auto row = impl_->position[3 * static_cast<std::size_t>(vertex) + axis]; row >= 0)
+      return impl_
+          ->part[static_cast<std::size_t>(impl_->supernode_of[static_cast<std::size_t>(row)])];
+  return 0;
+}
+std::int32_t CholeskyFactor::part_count() const { return impl_->part_count; }
 
 void CholeskyFactor::solve(std::span<const double> b, std::span<double> x) const {
   cholmod_dense right{};

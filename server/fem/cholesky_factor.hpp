@@ -61,6 +61,11 @@ class CholeskyFactor {
   [[nodiscard]] std::int32_t vertex_count() const;
   [[nodiscard]] std::int64_t stored_values() const;  ///< doubles in L's panels
 
+  /// Returns which part of the tissue `vertex` belongs to: 0, 1 … below `part_count()`. Block (v,
+  /// w) of K⁻¹ is zero where they belong to two. What is wholly prescribed belongs to part 0.
+  [[nodiscard]] std::int32_t part_of(std::int32_t vertex) const;
+  [[nodiscard]] std::int32_t part_count() const;  ///< at least 1
+
   /// Solves K x = b with CHOLMOD for one or more columns, one after the other (both of length
   /// size() × columns). Allocates. For set-up and oracles.
   void solve(std::span<const double> b, std::span<double> x) const;

@@ -253,12 +253,23 @@ class Observer {
   void look(const suture::MeshFrame& frame) {
     const std::lock_guard lock(mutex_);
     ++frames_;
-    for (std::size_t i = 0; i < frame.position_m.size(); ++i)
-      if (const float x = frame.position_m[i]; !(std::abs(x) < static_cast<float>(kFarAway_m)))
-        return fault("coordinate " + std::to_string(i) + " of " + std::string(frame.body) + " is " +
-                     std::to_string(x) + " m in step " + std::to_string(frame.step) + ", " +
-                     std::to_string(frame.simulation_time_s) + " s of epoch " +
-                     std::to_string(frame.epoch));
+    std::size_t astray = 0, first = 0;
+    float farthest_m = 0.0F;  // of those that are not
+    for (std::size_t i = 0; i < frame.position_m.size(); ++i) {
+      const float x = std::abs(frame.position_m[i]);
+      if (x < static_cast<float>(kFarAway_m)) {
+        farthest_m = std::max(farthest_m, x);
+      } else if (astray++ == 0) {
+        first = i;
+      }
+    }
+    if (astray > 0)
+      return fault(std::to_string(astray) + " of " + std::to_string(frame.position_m.size()) +
+                   " coordinates of " + std::string(frame.body) + " are astray, the first, " +
+                   std::to_string(first) + ", at " + std::to_string(frame.position_m[first]) +
+                   " m, others up to " + std::to_string(farthest_m) + " m, in step " +
+                   std::to_string(frame.step) + ", " + std::to_string(frame.simulation_time_s) +
+                   " s of epoch " + std::to_string(frame.epoch));
     for (const float stress : frame.von_mises_pa)
       if (!(stress >= 0.0F && std::isfinite(stress)))
         return fault("a stress in " + std::string(frame.body) + " is " + std::to_string(stress));

@@ -47,4 +47,19 @@ inline geometry::TetMesh block_mesh(int nx, int ny, int nz,
   return mesh;
 }
 
+/// Returns both meshes as one, `b` beside `a` and apart from it: no vertex is shared.
+inline geometry::TetMesh side_by_side(const geometry::TetMesh& a, const geometry::TetMesh& b) {
+  geometry::TetMesh mesh = a;
+  const auto first = static_cast<std::int32_t>(a.vertices_m.size());
+  double right_m = 0.0;
+  for (const geometry::Vec3& x : a.vertices_m) right_m = std::max(right_m, x[0]);
+  for (const geometry::Vec3& x : b.vertices_m)
+    mesh.vertices_m.push_back(x + geometry::Vec3(right_m + 1.0, 0.0, 0.0));
+  for (geometry::Tet tet : b.tets) {
+    for (std::int32_t& vertex : tet) vertex += first;
+    mesh.tets.push_back(tet);
+  }
+  return mesh;
+}
+
 }  // namespace sutured::testing

@@ -15,15 +15,9 @@ namespace {
 
 /// Two blocks side by side, not touching, each fixed below; one axis of one vertex prescribed.
 Model two_blocks() {
-  auto mesh = testing::block_mesh(3, 4, 3);
-  const auto other = testing::block_mesh(2, 2, 3);
-  const auto first = static_cast<std::int32_t>(mesh.vertices_m.size());
-  for (const Vec3& x : other.vertices_m) mesh.vertices_m.push_back(x + Vec3(2, 0, 0));
-  for (Tet tet : other.tets) {
-    for (auto& v : tet) v += first;
-    mesh.tets.push_back(tet);
-  }
-  Model model = testing::model_of(mesh, {1000.0, 0.3});
+  Model model = testing::model_of(
+      testing::side_by_side(testing::block_mesh(3, 4, 3), testing::block_mesh(2, 2, 3)),
+      {1000.0, 0.3});
   testing::prescribe(
       model, [](const Vec3& x) { return x[2] < 1e-9; }, [](const Vec3&) { return Vec3(0, 0, 0); });
   model.prescribed[3 * 70 + 1] = 1;
@@ -104,6 +98,24 @@ TEST(CholeskyFactor, BlocksTakenTogetherAreThoseTakenAlone) {
     }
   EXPECT_GT(largest, 0.0);
   EXPECT_LE(worst, 1e-13 * largest);  // rounding
+}
+
+TEST(CholeskyFactor, PartsAreWhatNothingTiesTogether) {
+  const Model model = two_blocks();
+  constexpr std::int32_t kOfTheFirst = 80;
+  const auto vertices = static_cast<std::int32_t>(model.vertices_m.size());
+  const CholeskyFactor factor(assemble(model));
+  EXPECT_EQ(factor.part_count(), 2);
+  const std::int32_t one = factor.part_of(kOfTheFirst - 1), other = factor.part_of(vertices - 1);
+  EXPECT_NE(one, other);
+  PathColumns v, w;
+  factor.walk_path(kOfTheFirst - 1, v);
+  for (std::int32_t vertex = 0; vertex < vertices; ++vertex) {
+    const bool fixed = model.vertices_m[static_cast<std::size_t>(vertex)][2] < 1e-9;
+    EXPECT_EQ(factor.part_of(vertex), fixed ? 0 : vertex < kOfTheFirst ? one : other) << vertex;
+    factor.walk_path(vertex, w);
+    EXPECT_EQ(factor.inverse_block(v, w).isZero(0.0), fixed || vertex >= kOfTheFirst) << vertex;
+  }
 }
 
 TEST(CholeskyFactor, BackwardPassOfLoadsSolvesTheTissue) {
