@@ -29,6 +29,10 @@ double compliance(const HapticModel& model, int i, int j) noexcept {
 
 // Gaps below this are closed: far under what a hand can feel at any tissue's stiffness.
 constexpr double kGapTolerance_m = 1e-12;
+// What is left after a slide is small, and so is its own slide: the second round is its last.
+constexpr int kSlideRounds = 2;
+// However the forces turn, a needle keeps so much of its stiffness against sliding on.
+constexpr double kLeastShareOfStiffness = 0.5;
 // Multipliers within this of a bound are on it.
 constexpr double kMultiplierTolerance_n = 1e-10;
 
@@ -37,47 +41,109 @@ double dual_norm(const Twist& g, double length_m) noexcept {
   return std::hypot(g[0], g[1], g[2]) + std::hypot(g[3], g[4], g[5]) / length_m;
 }
 
+/// Returns where a slide by `slide_m` along itself leads a needle from the model's reference, and
+/// with it the tool.
+Pose slid(const HapticModel& model, double slide_m) noexcept {
+  Twist along;
+  for (int i = 0; i < 6; ++i) along[i] = slide_m * model.slide_twist[i];
+  return moved_by(model.reference, along);
+}
+
+/// Splits the way to `pose` into a slide, however far, and what is left: exp(ξ − σ s) exp(σ s).
+/// Returns ξ, with σ = gᵀξ; `xi` is the screw of the whole way. See ModelEvaluator::evaluate.
+Twist slide_first(const HapticModel& model, const Pose& pose, const Twist& xi) noexcept {
+  double slide_m = dot(model.slide_gradient, xi);
+  Twist parted;
+  for (int round = 0; round < kSlideRounds; ++round) {
+    const Pose from = slid(model, slide_m);
+    parted = motion_between(from, pose);
+    // Of the point where the reference has its origin, about which the model's matrices are.
+    Array3 arm;
+    for (int i = 0; i < 3; ++i) arm[i] = model.reference.position_m[i] - from.position_m[i];
+    const Array3 turned = cross({parted[3], parted[4], parted[5]}, arm);
+    for (int i = 0; i < 3; ++i) parted[i] += turned[i];
+    for (int i = 0; i < 6; ++i) parted[i] += slide_m * model.slide_twist[i];
+    slide_m = dot(model.slide_gradient, parted);
+  }
+  return parted;
+}
+
 /// Adds what the model's linear part leaves out: see ModelEvaluator::evaluate. Returns how far the
 /// needle slides by that, beside what `others` slide it.
 double transport(const HapticModel& model, const Twist& xi, const Array3& bilateral_force_n,
                  Wrench& w) noexcept {
-  const Array3 theta{xi[3], xi[4], xi[5]};
   const Array3 axis{model.slide_twist[0], model.slide_twist[1], model.slide_twist[2]};
   const Array3 spin{model.slide_twist[3], model.slide_twist[4], model.slide_twist[5]};
   const auto& m = model.arm_moment_nm;
-  const auto arms = [&](double slide) noexcept {
-    const Array3 carried{theta[0] - slide * spin[0], theta[1] - slide * spin[1],
-                         theta[2] - slide * spin[2]};
+  const auto arms_turned_by = [&](const Array3& theta) noexcept {
     const double trace = m[0] + m[4] + m[8];
-    const Array3 left_behind = cross(axis, bilateral_force_n);
     Array3 torque;
     for (int i = 0; i < 3; ++i) {
-      torque[i] = -slide * left_behind[i] - trace * carried[i];
-      for (int j = 0; j < 3; ++j) torque[i] += m[3 * i + j] * carried[j];
+      torque[i] = -trace * theta[i];
+      for (int j = 0; j < 3; ++j) torque[i] += m[3 * i + j] * theta[j];
     }
     return torque;
   };
-
-  double slide = 0.0;
-  if (model.slide_stiffness > 0.0) {
-    slide = dot(model.slide_gradient, xi);
+  // What the force along the needle changes by when it and its tissue turn.
+  const auto axial_turned_by = [&](const Array3& theta) noexcept {
     const Array3 turned = cross(theta, axis), turned_spin = cross(theta, spin);
-    const Array3 torque = arms(slide);
-    double excess = 0.0;
+    const Array3 torque = arms_turned_by(theta);
+    double sum = 0.0;
     for (int i = 0; i < 3; ++i)
-      excess += turned[i] * w.force_n[i] + turned_spin[i] * w.torque_nm[i] + spin[i] * torque[i];
-    slide += excess / model.slide_stiffness;
-    for (int i = 0; i < 3; ++i) {
-      w.force_n[i] -= model.slide_gradient[i] * excess;
-      w.torque_nm[i] -= model.slide_gradient[i + 3] * excess;
-    }
+      sum += turned[i] * w.force_n[i] + turned_spin[i] * w.torque_nm[i] + spin[i] * torque[i];
+    return sum;
+  };
+
+  Array3 theta{xi[3], xi[4], xi[5]};
+  if (!(model.slide_stiffness > 0.0)) {
+    const Array3 torque = arms_turned_by(theta);
+    for (int i = 0; i < 3; ++i) w.torque_nm[i] += torque[i];
+    return 0.0;
   }
-  const Array3 torque = arms(slide);
-  for (int i = 0; i < 3; ++i) w.torque_nm[i] += torque[i];
-  return slide;
+  const double kappa = model.slide_stiffness, slide = dot(model.slide_gradient, xi);
+  for (int i = 0; i < 3; ++i) theta[i] -= slide * spin[i];
+  const double stiffness = std::max(kappa - axial_turned_by(spin), kLeastShareOfStiffness * kappa);
+  const double further = -axial_turned_by(theta) / stiffness;
+  for (int i = 0; i < 3; ++i) theta[i] -= further * spin[i];
+  const Pose from = slid(model, slide + further);
+  Array3 way;
+  for (int i = 0; i < 3; ++i) way[i] = from.position_m[i] - model.reference.position_m[i];
+  const Array3 turned = cross(theta, way);
+  Array3 force = bilateral_force_n;
+  for (int i = 0; i < 3; ++i) {
+    way[i] += turned[i];
+    force[i] += kappa * model.slide_gradient[i] * further;
+    w.force_n[i] += kappa * model.slide_gradient[i] * further;
+    w.torque_nm[i] += kappa * model.slide_gradient[i + 3] * further;
+  }
+  const Array3 left_behind = cross(way, force), torque = arms_turned_by(theta);
+  for (int i = 0; i < 3; ++i) w.torque_nm[i] += torque[i] - left_behind[i];
+  return slide + further;
 }
 
 }  // namespace
+
+Pose moved_by(const Pose& reference, const Twist& xi) noexcept {
+  const Array3 t{xi[0], xi[1], xi[2]}, theta{xi[3], xi[4], xi[5]};
+  const double angle = std::hypot(theta[0], theta[1], theta[2]);
+  // V(θ) = 1 + b [θ] + c [θ]², b = (1 − cos φ) / φ², c = (φ − sin φ) / φ³.
+  const double half_sine = std::sin(0.5 * angle), square = angle * angle;
+  const double b = angle > 1e-4 ? 2.0 * half_sine * half_sine / square : 0.5;
+  const double c =
+      angle > 1e-2 ? (angle - std::sin(angle)) / (square * angle) : 1.0 / 6.0 - square / 120.0;
+  const Array3 once = cross(theta, t), twice = cross(theta, once);
+  Pose pose;
+  for (int i = 0; i < 3; ++i)
+    pose.position_m[i] = reference.position_m[i] + t[i] + b * once[i] + c * twice[i];
+  // exp(θ) q.
+  const double scale = angle > 1e-9 ? half_sine / angle : 0.5;
+  const double x = scale * theta[0], y = scale * theta[1], z = scale * theta[2];
+  const double w = std::cos(0.5 * angle);
+  const auto& [qx, qy, qz, qw] = reference.orientation_xyzw;
+  pose.orientation_xyzw = {w * qx + x * qw + y * qz - z * qy, w * qy - x * qz + y * qw + z * qx,
+                           w * qz + x * qy - y * qx + z * qw, w * qw - x * qx - y * qy - z * qz};
+  return pose;
+}
 
 Twist motion_between(const Pose& reference, const Pose& pose) noexcept {
   const auto& [bx, by, bz, bw] = reference.orientation_xyzw;
@@ -317,7 +383,8 @@ Wrench ModelEvaluator::evaluate(const HapticModel& model, const Pose& pose,
     return {};
   }
   if (model.epoch != epoch_ || model.sequence != sequence_) begin(model);
-  const Twist xi = motion_between(model.reference, pose);
+  Twist xi = motion_between(model.reference, pose);
+  if (model.slide_stiffness > 0.0) xi = slide_first(model, pose, xi);
   std::array<Twist, kModelOthersMax> motions;
   const std::size_t count = std::min(others.size(), static_cast<std::size_t>(model.other_count));
   for (std::size_t k = 0; k < count; ++k)

@@ -42,6 +42,9 @@ using Twist = std::array<double, 6>;
 /// the short one, |θ| ≤ π.
 [[nodiscard]] Twist motion_between(const Pose& reference, const Pose& pose) noexcept;
 
+/// Returns where the motion `xi` leads from `reference`: what motion_between turns back into `xi`.
+[[nodiscard]] Pose moved_by(const Pose& reference, const Twist& xi) noexcept;
+
 inline constexpr int kModelRowsMax = 64;
 inline constexpr int kModelOthersMax = 7;
 inline constexpr int kModelPackedMax = kModelRowsMax * (kModelRowsMax + 1) / 2;
@@ -148,18 +151,24 @@ class ModelEvaluator {
 
   /// Returns the wrench that `model` gives at `pose`; zero where it touches nothing.
   ///
-  /// w(ξ) of the model is taken with the arms and the axis of the reference pose. Tissue
-  /// held by a needle rides along with it, except that the needle slides through by σ s,
-  /// and the axis turns with the tool. A bilateral force f at arm r is therefore found at
-  /// r + θ' × r − σ s_t, θ' = θ − σ s_θ, so the torque about the *present* origin carries
+  /// A needle that slides follows its own curve, however far: the way to `pose` is taken as a slide
+  /// by σ and what is left, η, which is small,
   ///
-  ///     Δτ = Σ (θ' × r − σ s_t) × f = (M − tr(M) I) θ' − σ s_t × Σ f,   M = Σ r fᵀ
+  ///     pose = exp(η) exp(σ s) reference,   gᵀη = 0,   ξ = η + σ s
   ///
-  /// (forces that turn with the needle, arms that grow as it leaves its tissue behind),
-  /// and the needle slides on until the force along the present axis s + θ × s is again
-  /// the friction:
+  /// (as one screw, half of the bracket [σ s, η] would count as a push across the needle). w(ξ) of
+  /// the model is taken with the arms and the axis of the reference pose. Tissue held by a needle
+  /// rides along with η, and the axis turns with it. A bilateral force f at arm r is therefore
+  /// found at r + θ' × r, θ' the rotation of η, and the origin is o = exp(θ') (exp(σ s) − 1) away
+  /// from it, so the torque about the *present* origin carries
   ///
-  ///     δσ = ((θ × s)·w + s_θ·Δτ) / κ,   Δw = −κ g δσ,   σ = gᵀξ + δσ
+  ///     Δτ = Σ (θ' × r − o) × f = B θ' − o × Σ f,   B = M − tr(M) I,   M = Σ r fᵀ
+  ///
+  /// (forces that turn with the needle, arms that grow as it leaves its tissue behind), and the
+  /// needle slides on by δ until the force along its present axis is again the friction:
+  ///
+  ///     e(θ) = (θ × s_t)·f + (θ × s_θ)·τ + s_θ·B θ
+  ///     δ = −e(θ') / (κ − e(s_θ)),   Δw = κ g δ,   σ = gᵀξ + δ,   θ' ← θ' − δ s_θ
   ///
   /// That is the slide which leaves the axial force where it was in the step. The friction is
   /// viscous, though, f = −c dζ/dt for the slide ζ that there is, and what f differs by reaches
@@ -171,7 +180,7 @@ class ModelEvaluator {
   /// a spring κ in series with a damper c, both positive: no loop of the hand gains from it. f is
   /// carried from one model to the next, as the needle's motion is.
   ///
-  /// With all three the model is exact to first order about any loaded reference. A
+  /// With all of these the model is exact to first order about any loaded reference. A
   /// translation without slide adds nothing: origin and forces move together. Unilateral
   /// rows, which let their tangents go, keep the arms of the reference.
   ///

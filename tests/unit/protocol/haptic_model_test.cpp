@@ -9,6 +9,7 @@
 #include <limits>
 #include <memory>
 #include <random>
+#include <utility>
 #include <vector>
 
 namespace suture {
@@ -174,6 +175,26 @@ TEST(MotionBetween, InvertsTheExponentialOfAScrew) {
     const Twist found =
         motion_between(pose_of(p, q), pose_of(p + way_of(xi), rotation(xi.tail<3>()) * q));
     for (int k = 0; k < 6; ++k) EXPECT_NEAR(found[k], xi[k], 1e-13 + 1e-9 * std::abs(xi[k]));
+  }
+}
+
+TEST(MovedBy, IsTheExponentialOfAScrew) {
+  RandomModels random(2);
+  for (int i = 0; i < 200; ++i) {
+    const Eigen::Quaterniond q = rotation(random.twist(0, 3.0).tail<3>());
+    const Vec3 p = random.twist(0.1, 0).head<3>();
+    const Vec6 xi = random.twist(0.05, i % 4 == 0   ? 1.7
+                                       : i % 4 == 1 ? 5e-3
+                                       : i % 4 == 2 ? 1e-6
+                                                    : 0);
+    Twist twist;
+    for (int k = 0; k < 6; ++k) twist[k] = xi[k];
+    const Pose pose = moved_by(pose_of(p, q), twist);
+    const Vec3 expected = p + way_of(xi);
+    const Eigen::Quaterniond turned = rotation(xi.tail<3>()) * q;
+    for (int k = 0; k < 3; ++k) EXPECT_NEAR(pose.position_m[k], expected[k], 1e-15);
+    for (int k = 0; k < 4; ++k)
+      EXPECT_NEAR(pose.orientation_xyzw[k], turned.coeffs()[k], 1e-14) << i;
   }
 }
 
@@ -519,10 +540,12 @@ TEST(HapticModel, GivesNoEnergyOnALoopWhereBoundsFollowOtherRows) {
 struct SpringTool {
   std::vector<Vec3> arms, anchors;
   double k = 50.0;
-  Vec6 slide = Vec6::Zero();  // unit twist of the tool's own axis; zero: no slide
+  Vec6 slide = Vec6::Zero();  // twist of the tool along its own axis or arc; zero: no slide
 
   /// Where point i lies on the tool after the tissue slid back by σ along the axis.
-  Vec3 arm(std::size_t i, double sigma) const { return arms[i] - sigma * slide.head<3>(); }
+  Vec3 arm(std::size_t i, double sigma) const {
+    return rotation(-sigma * slide.tail<3>()) * arms[i] + way_of(-sigma * slide);
+  }
 
   Vec6 wrench(const Vec6& xi, double sigma) const {
     Vec6 w = Vec6::Zero();
@@ -536,13 +559,22 @@ struct SpringTool {
     return w;
   }
   double axial(const Vec6& xi, double sigma) const {
-    return (rotation(xi.tail<3>()) * slide.head<3>()).dot(wrench(xi, sigma).head<3>());
+    const Eigen::Quaterniond q = rotation(xi.tail<3>());
+    const Vec6 w = wrench(xi, sigma);
+    return (q * slide.head<3>()).dot(w.head<3>()) + (q * slide.tail<3>()).dot(w.tail<3>());
   }
   Vec6 wrench_after_slide(const Vec6& xi) const {
     if (slide.isZero()) return wrench(xi, 0.0);
-    // The axial force is affine in σ: two evaluations give its zero.
-    const double a0 = axial(xi, 0.0), a1 = axial(xi, 1e-3);
-    return wrench(xi, -1e-3 * a0 / (a1 - a0));
+    // The secant method: along a straight axis the axial force is affine in σ.
+    double before = 0.0, sigma = 1e-3, axial_before = axial(xi, before);
+    for (int round = 0; round < 20 && sigma != before; ++round) {
+      const double now = axial(xi, sigma);
+      if (now == axial_before) break;
+      const double next = sigma - now * (sigma - before) / (now - axial_before);
+      before = std::exchange(sigma, next);
+      axial_before = now;
+    }
+    return wrench(xi, sigma);
   }
 
   HapticModel model() const {
@@ -577,19 +609,28 @@ struct SpringTool {
   }
 };
 
-SpringTool random_tool(RandomModels& random, bool slides) {
+enum class Slide { kNone, kStraight, kArc };
+
+SpringTool random_tool(RandomModels& random, Slide slides) {
   SpringTool tool;
-  if (slides) tool.slide.head<3>() = Vec3(0.36, 0.48, 0.8);
-  Vec3 mean = Vec3::Zero();
+  if (slides != Slide::kNone) tool.slide.head<3>() = Vec3(0.36, 0.48, 0.8);
+  // A metre along an arc of 8 mm; the tool's origin lies on it.
+  if (slides == Slide::kArc) tool.slide.tail<3>() = 125.0 * Vec3(0.8, -0.6, 0.0);
   for (int i = 0; i < 6; ++i) {
     tool.arms.push_back(random.twist(0.01, 0).head<3>());
     tool.anchors.push_back(tool.arms.back() + random.twist(2e-3, 0).head<3>());
-    mean += tool.anchors.back() - tool.arms.back();
   }
   // At the reference the slide has left no axial force.
-  if (slides)
-    for (Vec3& anchor : tool.anchors)
-      anchor -= tool.slide.head<3>() * tool.slide.head<3>().dot(mean) / 6.0;
+  if (slides != Slide::kNone) {
+    std::vector<Vec3> along;
+    double square = 0.0;
+    for (const Vec3& arm : tool.arms) {
+      along.push_back(tool.slide.head<3>() + tool.slide.tail<3>().cross(arm));
+      square += along.back().squaredNorm();
+    }
+    const double excess_m = tool.axial(Vec6::Zero(), 0.0) / (tool.k * square);
+    for (std::size_t i = 0; i < along.size(); ++i) tool.anchors[i] -= excess_m * along[i];
+  }
   return tool;
 }
 
@@ -600,19 +641,42 @@ double error_at(const SpringTool& tool, const HapticModel& model, const Vec6& xi
 
 TEST(HapticModel, CarriesTorqueArmsToSecondOrder) {
   RandomModels random(7);
-  for (const bool slides : {false, true}) {
+  for (const Slide slides : {Slide::kNone, Slide::kStraight, Slide::kArc}) {
     for (int trial = 0; trial < 20; ++trial) {
       const SpringTool tool = random_tool(random, slides);
       HapticModel model = tool.model();
       const Vec6 xi = random.twist(5e-4, 0.02);
       // Second order: half the motion, a quarter of the error.
       const double whole = error_at(tool, model, xi), half = error_at(tool, model, xi / 2);
-      EXPECT_NEAR(half / whole, 0.25, 0.05) << "slides " << slides;
+      EXPECT_NEAR(half / whole, 0.25, 0.05) << "slides " << static_cast<int>(slides);
+      EXPECT_NEAR(error_at(tool, model, xi / 32) / error_at(tool, model, xi / 16), 0.25, 0.01);
       model.arm_moment_nm = {};
       model.slide_stiffness = 0.0;
       const double bare = error_at(tool, model, xi / 64),
                    bare_half = error_at(tool, model, xi / 128);
       EXPECT_GT(bare_half / bare, 0.4) << "without the arms the error is of first order";
+    }
+  }
+}
+
+TEST(HapticModel, AFarSlideAlongAnArcMovesNothingButTheOrigin) {
+  RandomModels random(23);
+  for (int trial = 0; trial < 20; ++trial) {
+    const SpringTool tool = random_tool(random, Slide::kArc);
+    const HapticModel model = tool.model();
+    const Vec6 aside = random.twist(5e-4, 0.02);
+    const Vec6 near = vector_of(evaluate(model, moved(aside)));
+    for (const double slide_m : {-3e-3, 1e-3, 4e-3}) {
+      // First along the arc, up to half a radian, then aside: about a point at rest.
+      const Vec3 along = way_of(slide_m * tool.slide);
+      const Eigen::Quaterniond turn = rotation(aside.tail<3>());
+      const Vec3 origin = turn * along + way_of(aside);
+      const Pose pose = pose_of(origin, turn * rotation(slide_m * tool.slide.tail<3>()));
+      Vec6 far = vector_of(evaluate(model, pose));
+      far.tail<3>() += (origin - way_of(aside)).cross(far.head<3>());
+      // What is left is of third order.
+      EXPECT_LT((far - near).head<3>().norm(), 1e-4 * near.head<3>().norm()) << slide_m;
+      EXPECT_LT((far - near).tail<3>().norm(), 1e-3 * near.tail<3>().norm()) << slide_m;
     }
   }
 }
@@ -623,7 +687,7 @@ TEST(HapticModel, DragsAtASlidingNeedleAsTheTissueDoes) {
   constexpr std::int64_t kTick_ns = 1'000'000;
   constexpr int kFine = 100;
   RandomModels random(9);
-  SpringTool tool = random_tool(random, true);
+  SpringTool tool = random_tool(random, Slide::kStraight);
   HapticModel model = tool.model();
   // A spring in series with a damper, which gives way within 20 ms: seen well at 1 kHz.
   model.slide_drag_n_s_per_m = 0.02 * model.slide_stiffness;
@@ -657,7 +721,7 @@ TEST(HapticModel, DragsAtASlidingNeedleAsTheTissueDoes) {
 /// Whatever the hand does, it gets back at most what the friction had stored at the beginning.
 TEST(HapticModel, GivesNothingToAHandThatSlidesANeedleToAndFro) {
   RandomModels random(10);
-  SpringTool tool = random_tool(random, true);
+  SpringTool tool = random_tool(random, Slide::kStraight);
   HapticModel model = tool.model();
   model.slide_friction_n = 0.05;  // is part of the wrench
   for (int i = 0; i < 3; ++i) {
@@ -690,7 +754,7 @@ TEST(HapticModel, GivesNothingToAHandThatSlidesANeedleToAndFro) {
 /// One model after the other of the same needle: the friction goes on as it was.
 TEST(HapticModel, CarriesTheFrictionFromOneModelToTheNext) {
   RandomModels random(12);
-  SpringTool tool = random_tool(random, true);
+  SpringTool tool = random_tool(random, Slide::kStraight);
   HapticModel model = tool.model();
   model.slide_drag_n_s_per_m = 0.02 * model.slide_stiffness;
   ModelEvaluator evaluator;
