@@ -44,6 +44,11 @@ bool factor_regularised(int n, std::vector<double>& a, const std::vector<double>
 
 }  // namespace
 
+void ComplementaritySolver::reserve(int rows) {
+  for (std::vector<double>* matrix : {&l_, &s_, &reduced_}) matrix->resize(at(rows) * at(rows));
+  v_.resize(at(rows) * at(rows) / 4);  // n_B × n_U, n_B + n_U rows
+}
+
 void ComplementaritySolver::factor(const ComplianceMatrix& w, std::span<const Bounds> bounds) {
   w_ = &w;
   m_ = w.size;

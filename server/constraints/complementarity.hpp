@@ -43,6 +43,9 @@ struct SolveReport {
 /// Thread: simulation. Allocates: only when a problem outgrows every earlier one.
 class ComplementaritySolver {
  public:
+  /// Takes the memory for `rows` rows.
+  void reserve(int rows);
+
   /// Takes W and the bounds of the rows and condenses the bilateral rows out.
   void factor(const ComplianceMatrix& w, std::span<const Bounds> bounds);
 

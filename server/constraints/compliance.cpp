@@ -107,6 +107,16 @@ void Compliance::prepare(std::span<const std::int32_t> vertices) {
   for (std::size_t p = 0; p < parts_.size(); ++p) parts_[p].inverse.prepare(of_part[p]);
 }
 
+void Compliance::reserve(int rows) {
+  std::int64_t pitch = 0;
+  for (Part& part : parts_) {
+    part.inverse.reserve();
+    pitch += 3 * part.inverse.capacity() + 1;
+  }
+  row_times_g_.resize(at(rows) * at(pitch));
+  w_.value.resize(at(rows) * at(rows));
+}
+
 void Compliance::clear() {
   for (Part& part : parts_) part.inverse.clear();
   std::fill(force_n_.begin(), force_n_.end(), Vec3::Zero());

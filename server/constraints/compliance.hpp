@@ -50,6 +50,10 @@ class Compliance {
   /// their paths.
   void prepare(std::span<const std::int32_t> vertices);
 
+  /// Takes the memory for `rows` rows and for some vertices that are not prepared. Call after
+  /// `prepare`.
+  void reserve(int rows);
+
   /// Forgets vertices unused for `idle_steps_max` calls of `assemble`.
   void evict(int idle_steps_max);
   /// Forgets all vertices but the prepared, and forces: what follows comes out to the bit as after

@@ -97,6 +97,13 @@ void InverseBlocks::prepare(std::span<const std::int32_t> vertices) {
   prepared_ = static_cast<int>(vertices.size());
 }
 
+void InverseBlocks::reserve() {
+  // Written once, so that the pages are there, too.
+  for (int slot = high_water_; slot < capacity_; ++slot)
+    columns_[static_cast<std::size_t>(slot)].value.resize(
+        3 * static_cast<std::size_t>(factor_->path_length_max(part_)));
+}
+
 void InverseBlocks::ensure_pair(int a, int b) {
   const auto i = static_cast<std::size_t>(a), j = static_cast<std::size_t>(b);
   const auto n = static_cast<std::size_t>(capacity_);

@@ -28,6 +28,9 @@ class InverseBlocks {
   /// them for good, in slots 0, 1 … Call at set-up, with nothing cached.
   void prepare(std::span<const std::int32_t> vertices);
 
+  /// Takes the memory of as many vertices more as a step may well need, so that no step does.
+  void reserve();
+
   /// Returns the slot of a vertex of this part, or −1.
   [[nodiscard]] int find(std::int32_t vertex) const {
     return slot_of_vertex_[static_cast<std::size_t>(vertex - first_vertex_)];
@@ -65,7 +68,8 @@ class InverseBlocks {
   [[nodiscard]] const fem::PathColumns& columns(int slot) const {
     return columns_[static_cast<std::size_t>(slot)];
   }
-  [[nodiscard]] int slots() const { return high_water_; }  ///< those beyond were never used
+  [[nodiscard]] int capacity() const { return capacity_; }  ///< slots for which there is room
+  [[nodiscard]] int slots() const { return high_water_; }   ///< those beyond were never used
   [[nodiscard]] int cached_vertices() const;
   [[nodiscard]] std::uint64_t walks() const { return walks_; }
 

@@ -409,6 +409,12 @@ std::int32_t CholeskyFactor::part_of(std::int32_t vertex) const {
   return 0;
 }
 std::int32_t CholeskyFactor::part_count() const { return impl_->part_count; }
+std::int32_t CholeskyFactor::path_length_max(std::int32_t part) const {
+  std::int32_t length = 0;
+  for (std::size_t s = 0; s < impl_->part.size(); ++s)
+    if (impl_->part[s] == part) length = std::max(length, impl_->columns_to_root[s]);
+  return length;
+}
 
 void CholeskyFactor::solve(std::span<const double> b, std::span<double> x) const {
   cholmod_dense right{};

@@ -65,6 +65,8 @@ class CholeskyFactor {
   /// w) of K⁻¹ is zero where they belong to two. What is wholly prescribed belongs to part 0.
   [[nodiscard]] std::int32_t part_of(std::int32_t vertex) const;
   [[nodiscard]] std::int32_t part_count() const;  ///< at least 1
+  /// Returns the most entries per column that a walked vertex of `part` has.
+  [[nodiscard]] std::int32_t path_length_max(std::int32_t part) const;
 
   /// Solves K x = b with CHOLMOD for one or more columns, one after the other (both of length
   /// size() × columns). Allocates. For set-up and oracles.

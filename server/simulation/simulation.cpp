@@ -33,6 +33,8 @@ constexpr double kReach_m = 2.0 * kSubstepMotion_m;
 // of their vertices is made at set-up, not in the step in which they meet.
 constexpr double kPrepareDistance_m = 2e-3;
 constexpr std::size_t kPreparedMax = 1536;
+// Rows for which there is memory before the first step: two vessels that meet all around.
+constexpr int kRowsReserved = 320;
 constexpr int kRevisionsMax = 4;
 constexpr int kIdleStepsMax = 512;
 constexpr double kResidualMax = 1e-8;
@@ -75,13 +77,15 @@ struct Simulation::State {
                       std::move(modulus));
     }
     prepare_compliance();
+    tissue.compliance().reserve(kRowsReserved);
+    solver.reserve(kRowsReserved);
     inputs.resize(tools.size());
     moving.resize(tools.size());
     responses.resize(tools.size());
     needle_states.resize(needles.size());
     thread_states.resize(scene.threads.size());
     mobilities.resize(needles.size());
-    rows.reserve(512, 2048);
+    rows.reserve(kRowsReserved, 8 * kRowsReserved);
     events.reserve(64);
     pending_events.reserve(64);
     clear_world_changed();

@@ -253,6 +253,16 @@ Felt Arena::measured(const std::atomic<bool>* until, double seconds) {
 
 Felt Arena::undisturbed(double seconds) { return measured(nullptr, seconds); }
 
+std::optional<double> Arena::seconds_until_served(double seconds_max) {
+  const std::int64_t begun_ns = suture::monotonic_ns();
+  for (;;) {
+    const Felt felt = measured(nullptr, 0.1);
+    const double passed_s = 1e-9 * static_cast<double>(suture::monotonic_ns() - begun_ns);
+    if (felt.lost < felt.sent) return passed_s;
+    if (passed_s > seconds_max) return std::nullopt;
+  }
+}
+
 Arena::Result Arena::run(const Attack& attack, double seconds) {
   {
     recorded().on = true;
