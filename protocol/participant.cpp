@@ -19,7 +19,6 @@ std::string domain_configuration(std::uint32_t network_domain, const Network& ne
                                  Channel channel, bool realtime) {
   std::string xml =
       "<CycloneDDS><Domain Id=\"any\">"
-      "<Tracing><Verbosity>severe</Verbosity><OutputFile>stderr</OutputFile></Tracing>"
       "<Discovery><ExternalDomainId>" +
       std::to_string(network_domain) +
       "</ExternalDomainId></Discovery>"

@@ -59,6 +59,7 @@ class Arena {
   /// Plays the honest device for `seconds`, alone.
   Felt undisturbed(double seconds);
   /// Plays it until it is served again, at most `seconds_max`; returns how long that took.
+  /// Nobody reads what the server says meanwhile: a full pipe must not hold it up.
   std::optional<double> seconds_until_served(double seconds_max);
   /// Lets an attack run beside it.
   struct Result {
