@@ -168,7 +168,7 @@ int run_snapshot(const SnapshotArguments& arguments) {
   static_cast<void>(link_to(arguments));  // a faulty address is told before the browser is sought
   const std::string program = find_chromium(arguments.browser);
   std::optional<WholeFile> file;
-  const auto written = [&arguments](auto&& step) {
+  const auto written = [](auto&& step) {
     try {
       step();
     } catch (const std::system_error& error) {
