@@ -132,7 +132,7 @@ TEST(StateLayout, IsThatOfItsVersion) {
   std::vector<std::byte> bytes;
   Archive archive = Archive::writing(bytes, Archive::Caches::kLeftOut);
   archive(simulation);
-  EXPECT_EQ(std::pair(kVersion, bytes.size()), std::pair(2U, kBlockAtRestBytes));
+  EXPECT_EQ(std::pair(kVersion, bytes.size()), std::pair(3U, kBlockAtRestBytes));
 }
 
 }  // namespace
