@@ -98,10 +98,10 @@ void InverseBlocks::prepare(std::span<const std::int32_t> vertices) {
 }
 
 void InverseBlocks::reserve() {
+  const auto values = 3 * static_cast<std::size_t>(factor_->path_length_max(part_));
   // Written once, so that the pages are there, too.
   for (int slot = high_water_; slot < capacity_; ++slot)
-    columns_[static_cast<std::size_t>(slot)].value.resize(
-        3 * static_cast<std::size_t>(factor_->path_length_max(part_)));
+    columns_[static_cast<std::size_t>(slot)].value.resize(values);
 }
 
 void InverseBlocks::ensure_pair(int a, int b) {
