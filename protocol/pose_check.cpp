@@ -21,8 +21,10 @@ bool all_finite(const Range& values) noexcept {
 
 PoseFault pose_fault(const Pose& pose, double jaw) noexcept {
   const auto& q = pose.orientation_xyzw;
-  if (!all_finite(pose.position_m) || !all_finite(q) || !std::isfinite(jaw))
-    return PoseFault::kNotFinite;
+  const auto& p = pose.position_m;
+  const bool near =
+      std::all_of(p.begin(), p.end(), [](double x) { return std::abs(x) <= kPositionMax_m; });
+  if (!near || !all_finite(q) || !std::isfinite(jaw)) return PoseFault::kNotFinite;
   const double norm = std::hypot(std::hypot(q[0], q[1]), std::hypot(q[2], q[3]));
   if (!(std::abs(norm - 1.0) <= kQuaternionTolerance)) return PoseFault::kQuaternion;
   if (jaw < -kJawTolerance || jaw > 1.0 + kJawTolerance) return PoseFault::kJaw;

@@ -9,10 +9,14 @@
 
 namespace suture {
 
+/// No coordinate of a position is beyond this, in the device's frame or the world: squares and
+/// products of what lies farther off need not be finite.
+inline constexpr double kPositionMax_m = 1e3;
+
 /// What is wrong with a pose.
 enum class PoseFault : std::uint8_t {
   kNone,
-  kNotFinite,
+  kNotFinite,   ///< NaN, infinity, or a position beyond kPositionMax_m
   kQuaternion,  ///< not of unit length
   kJaw,         ///< outside 0 … 1
   kJump,        ///< farther from the last one than the tool can have moved

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "constraints/blas.hpp"
@@ -299,7 +300,10 @@ SolveReport ComplementaritySolver::solve(std::span<const double> q, std::span<do
     const double up = (lambda[at(i)] - bounds_[at(i)].upper_n) / lambda_max;
     const double low = (lambda[at(i)] - bounds_[at(i)].lower_n) / lambda_max;
     const double miss = std::max(up, std::min(low, gap_[at(i)] / kGapScale_m));
-    report.residual = std::max(report.residual, std::abs(miss));
+    // Not by the largest: one that is no number would be passed over.
+    const bool finite = std::isfinite(lambda[at(i)]) && std::isfinite(gap_[at(i)]);
+    report.residual = finite ? std::max(report.residual, std::abs(miss))
+                             : std::numeric_limits<double>::infinity();
   }
   report.regularised = regularised_;
   return report;

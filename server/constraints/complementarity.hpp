@@ -34,7 +34,8 @@ struct SolveReport {
   bool converged = true;        ///< false: `lambda` is the best found, and clamped to its bounds
   bool regularised = false;     ///< W was singular; a multiple of its trace was added
   /// max_i |mid(λ_i − upper_i, w_i · stiffness, λ_i − lower_i)| over λ_max, dimensionless:
-  /// how far any row is from solving its own condition, gaps counted against 1 mm.
+  /// how far any row is from solving its own condition, gaps counted against 1 mm. Infinite where
+  /// a multiplier or a gap is not finite.
   double residual = 0.0;
 };
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <stdexcept>
 #include <utility>
 
 #include "constraints/complementarity.hpp"
@@ -38,9 +39,17 @@ constexpr int kRowsReserved = 320;
 constexpr int kRevisionsMax = 4;
 constexpr int kIdleStepsMax = 512;
 constexpr double kResidualMax = 1e-8;
+// As far as a surgeon's file may go: what is squared or multiplied stays far from overflow.
+constexpr double kPositionMax_m = 1e6;
 
 std::int64_t since(Clock::time_point start) {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - start).count();
+}
+
+/// Whether a tool is anywhere that its rows may be made of.
+bool may_follow(const ToolInput& tool) {
+  return !tool.present || ((tool.position_m.array().abs() <= kPositionMax_m).all() &&
+                           tool.orientation.coeffs().allFinite() && std::isfinite(tool.jaw));
 }
 
 /// Sorts vertices along the longest side of their box.
@@ -219,6 +228,11 @@ struct Simulation::State {
     }
     solver.factor(w, bounds);
     last_solve = solver.solve(target, lambda, states);
+    // No force is better than one that is no number; it is told as any residual is.
+    if (!std::isfinite(last_solve.residual)) {
+      std::fill(lambda.begin(), lambda.end(), 0.0);
+      std::fill(states.begin(), states.end(), constraints::RowState::kLower);
+    }
     remember_states();
     report.solve_ns += since(solving);
   }
@@ -267,7 +281,7 @@ struct Simulation::State {
     time_s = end_s;
     report.complementarity_residual =
         std::max(report.complementarity_residual, last_solve.residual);
-    if (!(last_solve.residual <= kResidualMax))  // NaN too
+    if (last_solve.residual > kResidualMax)
       events.push_back(
           {EventKind::kSolverResidual, time_s, scene.name, "", Vec3::Zero(), last_solve.residual});
   }
@@ -509,7 +523,11 @@ Simulation::~Simulation() = default;
 Simulation::Simulation(Simulation&&) noexcept = default;
 Simulation& Simulation::operator=(Simulation&&) noexcept = default;
 
-void Simulation::step(std::span<const ToolInput> tools, double dt_s) { state_->step(tools, dt_s); }
+void Simulation::step(std::span<const ToolInput> tools, double dt_s) {
+  if (!std::all_of(tools.begin(), tools.end(), may_follow))
+    throw std::invalid_argument("a tool's place is not finite, or beyond 1000 km");
+  state_->step(tools, dt_s);
+}
 void Simulation::update_displacements() {
   state_->settle(state_->pending_events);
   state_->look_for_inverted(state_->pending_events);

@@ -47,7 +47,9 @@ class Simulation {
   Simulation& operator=(Simulation&&) noexcept;
 
   /// Moves to the next equilibrium: the tools go to `tools` (one per scene tool, in order)
-  /// within `dt_s`, in as many substeps as their motion asks for.
+  /// within `dt_s`, in as many substeps as their motion asks for. Throws std::invalid_argument,
+  /// and changes nothing, where a present tool's place is not finite or beyond 1e6 m. A solve that
+  /// gives no finite multipliers is told as a kSolverResidual event, and its forces are none.
   void step(std::span<const ToolInput> tools, double dt_s);
 
   /// Brings the displacements of all vertices up to the last step: one backward pass.

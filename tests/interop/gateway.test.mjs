@@ -96,7 +96,9 @@ describe("Foxglove's packages", { timeout: 240_000 }, () => {
       });
 
       it("decode the scene that they draw", async () => {
-        const update = await connection.first("suture/scene", ({ entities }) => entities.some(({ triangles }) => triangles.length > 0));
+        // An update draws what has come so far: to whoever has just joined, of some bodies first.
+        const drawn = [...Object.keys(surfaces).map((body) => `tissue/${body}`), "needle/needle"];
+        const update = await connection.first("suture/scene", ({ entities }) => drawn.every((id) => entities.some((each) => each.id === id)));
         const entity = (id) => update.entities.find((each) => each.id === id);
         for (const [body, { vertices, triangles }] of Object.entries(surfaces)) {
           const { frame_id, triangles: lists } = entity(`tissue/${body}`);

@@ -348,9 +348,10 @@ class GoodClient {
   explicit GoodClient(std::uint16_t port) : client_(port) {
     client_.subscribe(1, "suture/mesh/frame");
   }
-  /// Waits for so many frames; false where the server has gone.
+  /// Waits for so many frames, and takes all that has arrived, pings too: whoever leaves it there
+  /// is let go. False where the server has gone.
   bool frames(int count) {
-    while (count > 0) {
+    while (count > 0 || client_.readable()) {
       const auto message = client_.wait();
       if (!message) return false;
       count -= message->text ? 0 : 1;

@@ -9,6 +9,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <cerrno>
 #include <cstddef>
 #include <cstdint>
 #include <map>
@@ -17,11 +18,12 @@
 #include <stdexcept>
 #include <string>
 #include <string_view>
+#include <system_error>
 #include <utility>
 
 namespace sutured::testing {
 
-/// A connection to a port of this machine. Throws std::runtime_error where nobody listens.
+/// A connection to a port of this machine. Throws std::system_error where nobody listens.
 class TcpClient {
  public:
   /// `receive_buffer` is what the kernel keeps for who does not read; 0: as usual.
@@ -36,8 +38,9 @@ class TcpClient {
     to.sin_port = htons(port);
     to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
     if (::connect(fd_, reinterpret_cast<const sockaddr*>(&to), sizeof to) != 0) {
+      const std::error_code why(errno, std::generic_category());
       ::close(std::exchange(fd_, -1));
-      throw std::runtime_error("nobody listens at port " + std::to_string(port));
+      throw std::system_error(why, "port " + std::to_string(port));
     }
   }
   ~TcpClient() {
@@ -59,6 +62,11 @@ class TcpClient {
       bytes.remove_prefix(static_cast<std::size_t>(sent));
     }
     return true;
+  }
+  /// Says whether something has arrived, or the other side has gone.
+  [[nodiscard]] bool readable() const {
+    pollfd ready{fd_, POLLIN, 0};
+    return ::poll(&ready, 1, 0) > 0;
   }
   /// Appends what comes next to `bytes`, and waits for it; false where the other side has gone.
   /// Throws where nothing comes for half a minute.
@@ -174,6 +182,8 @@ class WebClient {
       }
     }
   }
+  /// Says whether something has arrived that was not taken in.
+  [[nodiscard]] bool readable() const { return tcp_.readable(); }
   /// Takes in what has arrived, or waits for it; false where the server has gone.
   bool receive() { return tcp_.receive(buffer_); }
   /// Waits for the next message; nothing where the server has gone.

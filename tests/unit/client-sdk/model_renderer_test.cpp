@@ -323,6 +323,8 @@ INSTANTIATE_TEST_SUITE_P(
     ::testing::Values(
         BadHand{"NotANumber", suture_v1_FAULT_POSE_NOT_FINITE,
                 [](Hand& hand, int) { hand.position_m[1] = std::nan(""); }},
+        BadHand{"BeyondTheWorld", suture_v1_FAULT_POSE_NOT_FINITE,
+                [](Hand& hand, int) { hand.position_m[2] = -1e308; }},
         BadHand{"WrongQuaternion", suture_v1_FAULT_POSE_QUATERNION,
                 [](Hand& hand, int) { hand.orientation_xyzw[3] = 0.5; }},
         BadHand{"Jaw", suture_v1_FAULT_POSE_JAW, [](Hand& hand, int) { hand.jaw = 2.0; }},

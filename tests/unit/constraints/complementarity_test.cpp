@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <limits>
 #include <random>
 
 namespace sutured::constraints {
@@ -117,6 +118,20 @@ TEST(Complementarity, RedundantBilateralRowsAreLegal) {
   const SolveReport report = solver.solve(p.q, lambda, state);
   EXPECT_TRUE(report.regularised);
   EXPECT_NEAR(lambda[0] + lambda[1] + lambda[2], 0.5, 1e-6);
+}
+
+TEST(Complementarity, ASolutionThatIsNoNumberHasNoFiniteResidual) {
+  std::mt19937_64 random(31);
+  ComplementaritySolver solver;
+  for (int bad = 0; bad < 12; ++bad) {
+    Problem p = random_problem(random, 12, 6, 1e-3);
+    p.q[static_cast<std::size_t>(bad)] = std::numeric_limits<double>::quiet_NaN();
+    std::vector<double> lambda(p.q.size());
+    std::vector<RowState> state(p.q.size(), RowState::kLower);
+    solver.factor(p.w, p.bounds);
+    EXPECT_EQ(solver.solve(p.q, lambda, state).residual, std::numeric_limits<double>::infinity())
+        << bad;
+  }
 }
 
 TEST(Complementarity, AnUpperBoundLetsTheGapGoNegative) {

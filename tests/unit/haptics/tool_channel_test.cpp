@@ -97,6 +97,8 @@ INSTANTIATE_TEST_SUITE_P(
     ::testing::Values(
         PoseFault{"NotANumber", Fault::kPoseNotFinite,
                   [](PoseSample& p) { p.pose.position_m[1] = kNan; }},
+        PoseFault{"BeyondTheWorld", Fault::kPoseNotFinite,
+                  [](PoseSample& p) { p.pose.position_m[2] = -1e308; }},
         PoseFault{"InfiniteQuaternion", Fault::kPoseNotFinite,
                   [](PoseSample& p) {
                     p.pose.orientation_xyzw[2] = std::numeric_limits<double>::infinity();

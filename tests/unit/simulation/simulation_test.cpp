@@ -5,7 +5,9 @@
 
 #include <Eigen/Eigenvalues>
 #include <functional>
+#include <limits>
 #include <random>
+#include <stdexcept>
 
 #include "fem/stiffness.hpp"
 #include "scene/scene_error.hpp"
@@ -351,6 +353,39 @@ TEST_F(BlockSimulation, AGripOnTissueSlipsAtItsLimit) {
   inputs[kDriver].jaw = 0.0;
   step(2);
   EXPECT_EQ(reaction().norm(), 0.0);
+}
+
+TEST_F(BlockSimulation, AToolBeyondTheWorldIsRefusedAndChangesNothing) {
+  grasp(kAssistant, sim.positions_m()[0]);
+  sim.update_displacements();
+  const std::vector<Vec3> before(sim.positions_m().begin(), sim.positions_m().end());
+  const double time_s = sim.time_s();
+  for (const double x : {1e7, 1e308, std::numeric_limits<double>::quiet_NaN()}) {
+    std::vector<ToolInput> away(inputs.begin(), inputs.end());
+    away[at(kAssistant)].position_m[0] = x;
+    EXPECT_THROW(sim.step(away, kStep_s), std::invalid_argument);
+    away[at(kAssistant)].present = false;  // where it is not, it may be anywhere
+    EXPECT_NO_THROW(Simulation(scene).step(away, kStep_s));
+  }
+  sim.update_displacements();
+  EXPECT_EQ(sim.time_s(), time_s);
+  EXPECT_TRUE(std::equal(before.begin(), before.end(), sim.positions_m().begin()));
+}
+
+TEST_F(BlockSimulation, ASolveThatIsNoNumberGivesNoForceAndIsTold) {
+  // As no file may say it.
+  scene.tools[at(kAssistant)].grip_stiffness_n_per_m = std::numeric_limits<double>::quiet_NaN();
+  Simulation weak(scene);
+  inputs[at(kAssistant)] = tool_at(weak.positions_m()[0], 0.0);
+  weak.step(inputs, kStep_s);
+  inputs[at(kAssistant)].jaw = 1.0;
+  weak.step(inputs, kStep_s);
+  EXPECT_EQ(weak.report().complementarity_residual, std::numeric_limits<double>::infinity());
+  EXPECT_TRUE(std::any_of(weak.events().begin(), weak.events().end(),
+                          [](const Event& e) { return e.kind == EventKind::kSolverResidual; }));
+  weak.update_displacements();
+  EXPECT_TRUE(
+      std::equal(weak.positions_m().begin(), weak.positions_m().end(), sim.positions_m().begin()));
 }
 
 TEST_F(BlockSimulation, AnAbsentToolLetsGo) {
