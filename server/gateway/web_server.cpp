@@ -34,6 +34,7 @@ namespace http = beast::http;
 namespace websocket = beast::websocket;
 using asio::ip::tcp;
 using boost::system::error_code;
+using Clock = std::chrono::steady_clock;
 
 constexpr auto kAwait = asio::as_tuple(asio::use_awaitable);
 constexpr std::size_t kHeadersMax = 8U << 10U;
@@ -191,7 +192,7 @@ struct WebServer::State {
   // told, but not as often as strangers may like.
   void note(const std::exception_ptr& fault) {
     ++counters.faults;
-    const auto now = std::chrono::steady_clock::now();
+    const auto now = Clock::now();
     if (told && now - *told < kFaultSilence) return;
     told = now;
     handlers.fault("a web connection or task ended by a fault (" + std::to_string(counters.faults) +
@@ -352,7 +353,11 @@ struct WebServer::State {
     const std::shared_ptr<WebClient> client = std::move(accepted.client);
     beast::get_lowest_layer(stream).expires_never();
     websocket::stream<Stream> socket(std::move(stream));
-    const Ender ender(*this, [&socket] { beast::get_lowest_layer(socket).close(); });
+    asio::steady_timer end(*io, Clock::time_point::max());
+    const Ender ender(*this, [&socket, &end] {
+      beast::get_lowest_layer(socket).close();
+      end.expires_at(Clock::now());
+    });
     websocket::stream_base::timeout patience{};
     patience.handshake_timeout = options.request_patience;
     patience.idle_timeout = options.idle_patience;
@@ -367,11 +372,29 @@ struct WebServer::State {
         }));
     if (auto [error] = co_await socket.async_accept(request, kAwait); error) co_return;
 
-    asio::steady_timer bell(*io, asio::steady_timer::time_point::max());
-    const Presence presence(*this, *client, bell);
+    // In Beast a close waits for the read that is under way, and a read that meets nonsense then
+    // waits for the close: for ever, though the socket be closed. The end cancels both.
+    using asio::experimental::awaitable_operators::operator||;
+    co_await (converse(socket, *client, end) || until(end));
+  }
+
+  /// Both ways at once, until either is over. `end` has come then, or brings that about.
+  template <class Socket>
+  asio::awaitable<void> converse(Socket& socket, WebClient& client, asio::steady_timer& end) {
+    asio::steady_timer bell(*io, Clock::time_point::max());
+    const Presence presence(*this, client, bell);
     bool over = false;
     using asio::experimental::awaitable_operators::operator&&;
-    co_await (listen(socket, *client, over) && speak(socket, *client, bell, over));
+    try {
+      co_await (listen(socket, client, over) && speak(socket, client, bell, end, over));
+    } catch (...) {  // else `until` would be waited for
+      note(std::current_exception());
+    }
+  }
+
+  /// Returns when `end` has come, whenever it was set to.
+  static asio::awaitable<void> until(asio::steady_timer& end) {
+    while (end.expiry() > Clock::now()) co_await end.async_wait(kAwait);
   }
 
   template <class Socket>
@@ -395,13 +418,14 @@ struct WebServer::State {
 
   template <class Socket>
   asio::awaitable<void> speak(Socket& socket, WebClient& client, asio::steady_timer& bell,
-                              bool& over) {
+                              asio::steady_timer& end, bool& over) {
     while (!over) {
       if (const auto close =
               stopping ? std::optional(Close{1001, "the server ends"}) : client.closing()) {
         websocket::close_reason reason;
         reason.code = close->code;
         reason.reason = close->reason.substr(0, 120);
+        end.expires_after(options.request_patience);
         co_await socket.async_close(reason, kAwait);
         break;
       }
@@ -437,7 +461,7 @@ struct WebServer::State {
   WebCounters counters;
   std::list<WebClient*> clients;
   std::list<std::function<void()>> enders;
-  std::optional<std::chrono::steady_clock::time_point> told;  // of a fault
+  std::optional<Clock::time_point> told;  // of a fault
   bool stopping = false;
   std::uint16_t port = 0;
   std::optional<asio::ssl::context> tls;

@@ -80,23 +80,29 @@ TEST_F(WebServerTest, ATaskThatFailsIsRunAgain) {
   EXPECT_EQ(told().size(), 1U);
 }
 
-/// Has always something to send, or never.
+/// Has always something to send, or never; ends when it is told something.
 class Talker : public WebClient {
  public:
   explicit Talker(bool talks) : talks_(talks) {}
-  void on_text(std::string_view) override {}
+  void on_text(std::string_view) override {
+    told_ = true;
+    wake();
+  }
   void on_binary(std::span<const std::byte>) override {}
   std::optional<Outgoing> next() override {
     if (!talks_) return std::nullopt;
     return Outgoing{true, std::string(60'000, 'x'), {}};
   }
-  [[nodiscard]] std::optional<Close> closing() const override { return std::nullopt; }
+  [[nodiscard]] std::optional<Close> closing() const override {
+    return told_ ? std::optional(Close{1000, "as you say"}) : std::nullopt;
+  }
 
  private:
-  bool talks_;
+  bool talks_, told_ = false;
 };
 
-/// A server that waits a second for a sign of life, and then as long for the answer to a ping.
+/// A server that waits a second for a sign of life, and then as long for the answer to a ping; as
+/// long too for the answer to its goodbye.
 class PatienceTest : public ::testing::Test {
  protected:
   PatienceTest() {
@@ -121,7 +127,7 @@ class PatienceTest : public ::testing::Test {
 
   static WebServer::Options impatient() {
     WebServer::Options options;
-    options.idle_patience = std::chrono::seconds(1);
+    options.idle_patience = options.request_patience = std::chrono::seconds(1);
     return options;
   }
 
@@ -150,6 +156,21 @@ TEST_F(PatienceTest, AClientThatAnswersNoPingIsLetGo) {
   EXPECT_THAT(heard, HasSubstr("101 Switching Protocols"));
   EXPECT_THAT(heard, HasSubstr("\x89")) << "it was asked first";
   EXPECT_TRUE(eventually([&] { return open_connections() == 0; }));
+}
+
+TEST_F(PatienceTest, AClientWhoseNonsenseMeetsTheGoodbyeIsLetGo) {
+  for (const bool goes : {false, true}) {
+    testing::TcpClient client = connect("/silent");
+    std::string heard;
+    while (heard.find("\r\n\r\n") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+    // So long that it is read for itself, up to its end: the nonsense behind it is read when the
+    // goodbye has been written and its writer has not been told yet.
+    client.send(testing::web_frame(testing::WebClient::kText, std::string(20'000, 'x')) +
+                testing::web_frame(0xF3, "no frame of RFC 6455"));
+    while (heard.find("as you say") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+    if (goes) client.abort();
+    EXPECT_TRUE(eventually([&] { return open_connections() == 0; })) << goes;
+  }
 }
 
 TEST_F(PatienceTest, AClientThatAnswersPingsStays) {
