@@ -57,8 +57,16 @@ void Feed::subscribe(std::uint32_t channel) {
 }
 
 void Feed::unsubscribe(std::uint32_t channel) {
-  Source& left = source(channel);
-  if (--left.subscribers == 0 && !left.spec->transient_local) left.reader.reset();
+  Source& wanted = source(channel);
+  --wanted.subscribers;
+  wanted.left = std::chrono::steady_clock::now();
+}
+
+void Feed::close_idle(std::chrono::steady_clock::time_point now) {
+  for (Source& source : sources_)
+    if (source.subscribers == 0 && !source.spec->transient_local &&
+        now - source.left >= kReaderStays)
+      source.reader.reset();
 }
 
 void Feed::retained(std::uint32_t channel, const std::function<void(const Delivery&)>& use) const {

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -16,6 +17,11 @@
 
 namespace sutured::gateway {
 
+/// How long a reader stays that nobody wants any more. Cyclone 0.10.2 keeps some 500 bytes of each
+/// reader and writer that ever was (eclipse-cyclonedds issue 1487): who comes and goes shall not
+/// make one each time.
+inline constexpr std::chrono::seconds kReaderStays{60};
+
 /// A sample of a topic on its way to those who subscribe to it.
 struct Delivery {
   std::uint32_t channel;
@@ -28,7 +34,7 @@ struct Delivery {
 /// Reads every topic that somebody wants, and what late joiners must get (topologies,
 /// status, quality, events) from the start, so that it is there for whoever comes.
 ///
-/// A topic of the force threads has a reader here only while somebody subscribes to it.
+/// Any other topic has a reader here while somebody subscribes to it, and for `kReaderStays` more.
 /// Threads: the gateway's; `wake` is called on Cyclone's.
 class Feed {
  public:
@@ -42,6 +48,12 @@ class Feed {
   /// Counts one subscriber more, or less, of a channel.
   void subscribe(std::uint32_t channel);
   void unsubscribe(std::uint32_t channel);
+  /// Closes the readers that nobody has wanted for `kReaderStays`.
+  void close_idle(std::chrono::steady_clock::time_point now);
+  /// Says whether a channel has a reader.
+  [[nodiscard]] bool reads(std::uint32_t channel) const {
+    return sources_[channel - 1].reader != nullptr;
+  }
   /// Calls `use` for what is kept of a channel, oldest first.
   void retained(std::uint32_t channel, const std::function<void(const Delivery&)>& use) const;
   /// Takes what has arrived and calls `use` for each.
@@ -53,6 +65,7 @@ class Feed {
     const suture::Participant* participant = nullptr;
     std::size_t depth = 1;
     int subscribers = 0;
+    std::chrono::steady_clock::time_point left;          // by the last subscriber
     std::unique_ptr<suture::SerializedReader> reader;    // null: nobody wants it
     std::map<std::uint64_t, std::deque<Delivery>> kept;  // by instance
   };

@@ -212,13 +212,10 @@ class Gateway::State : public ChannelSource {
 
   // Our readers of frames stand for the clients who watch.
   void count_viewers() {
-    int frames = 0, watchers = 0;
-    for (const Client* client : clients_) {
-      const bool takes_frames = client->listens_to(frame_channel_);
-      frames += takes_frames ? 1 : 0;
-      watchers += takes_frames || client->listens_to(scene_channel_) ? 1 : 0;
-    }
-    const int readers = (frames > 0 ? 1 : 0) + (scene_watchers_ > 0 ? 1 : 0);
+    int watchers = 0;
+    for (const Client* client : clients_)
+      if (client->listens_to(frame_channel_) || client->listens_to(scene_channel_)) ++watchers;
+    const int readers = (feed_.reads(frame_channel_) ? 1 : 0) + (scene_.reads() ? 1 : 0);
     viewers_beyond_readers_ = watchers - readers;
   }
 
@@ -226,6 +223,9 @@ class Gateway::State : public ChannelSource {
     if (const std::string fault = access_.reload(); !fault.empty())
       options_.log(true, fault + " (the tokens read before still hold)");
     for (Client* client : clients_) client->renew(access_);
+    const auto now = std::chrono::steady_clock::now();
+    feed_.close_idle(now);
+    scene_.close_idle(now);
     count_viewers();
   }
 

@@ -9,6 +9,7 @@
 #include <span>
 #include <utility>
 
+#include "gateway/feed.hpp"
 #include "idl/idl_text.hpp"
 #include "protocol/topics.hpp"
 
@@ -198,12 +199,16 @@ Channel SceneComposer::channel(std::uint32_t id) {
 }
 
 void SceneComposer::watch(bool wanted) {
-  if (!wanted) {
-    readers_.reset();
-    begin_epoch(0);
-  } else if (!readers_) {
-    readers_ = std::make_unique<Readers>(mesh_);
-  }
+  watched_ = wanted;
+  left_ = std::chrono::steady_clock::now();
+  if (wanted && !readers_) readers_ = std::make_unique<Readers>(mesh_);
+  if (!tissues_.empty()) news_ = true;  // who comes again gets what there is
+}
+
+void SceneComposer::close_idle(std::chrono::steady_clock::time_point now) {
+  if (watched_ || now - left_ < kReaderStays) return;
+  readers_.reset();
+  begin_epoch(0);
 }
 
 void SceneComposer::begin_epoch(std::uint64_t epoch) {
@@ -288,7 +293,7 @@ void SceneComposer::read() {
 std::optional<suture::SerializedSample> SceneComposer::compose() {
   if (!readers_) return std::nullopt;
   read();
-  if (!std::exchange(news_, false)) return std::nullopt;
+  if (!watched_ || !std::exchange(news_, false)) return std::nullopt;
 
   double peak_pa = kSmallestScale_pa;
   for (const auto& [name, tissue] : tissues_)

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <chrono>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -20,7 +21,7 @@ namespace sutured::gateway {
 /// von Mises stress, needles and threads as lines, punctures and contacts as spheres, tools
 /// as axes with an arrow for the force on the hand (10 mm a newton). World frame, metres.
 ///
-/// Threads: the gateway's. It has readers while somebody watches, and none otherwise.
+/// Threads: the gateway's. It has readers while somebody watches, and for `kReaderStays` more.
 class SceneComposer {
  public:
   /// Throws suture::Error. `mesh` must outlive it.
@@ -29,8 +30,12 @@ class SceneComposer {
 
   /// As it is offered, with `id`.
   [[nodiscard]] static Channel channel(std::uint32_t id);
-  /// Begins or ends reading.
+  /// Begins to compose, or ends it.
   void watch(bool wanted);
+  /// Closes the readers where nobody has watched for `kReaderStays`.
+  void close_idle(std::chrono::steady_clock::time_point now);
+  /// Says whether it has readers.
+  [[nodiscard]] bool reads() const { return readers_ != nullptr; }
   /// Returns the scene where something has come since the last call; it is whole each time,
   /// so that a tool may join, or lose any of them.
   [[nodiscard]] std::optional<suture::SerializedSample> compose();
@@ -62,6 +67,8 @@ class SceneComposer {
   const suture::Participant& mesh_;
   suture::SampleCodec codec_;
   std::unique_ptr<Readers> readers_;
+  bool watched_ = false;
+  std::chrono::steady_clock::time_point left_;  // by the last who watched
   std::uint64_t epoch_ = 0;
   std::int64_t stamp_ns_ = 0;
   bool news_ = false;

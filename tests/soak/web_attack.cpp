@@ -348,6 +348,7 @@ class GoodClient {
   explicit GoodClient(std::uint16_t port) : client_(port) {
     client_.subscribe(1, "suture/mesh/frame");
   }
+  [[nodiscard]] const std::string& goodbye() const { return client_.goodbye(); }
   /// Waits for so many frames, and takes all that has arrived, pings too: whoever leaves it there
   /// is let go. False where the server has gone.
   bool frames(int count) {
@@ -409,6 +410,7 @@ int run(std::size_t count, std::uint64_t seed) {
 
   std::size_t sent = 0;
   double warm_kib = 0.0, most_kib = 0.0;
+  std::array<double, 10> tenths_kib{};
   const int files_before = testing::open_files(server.pid());
   int most_files = 0;
   {
@@ -419,10 +421,14 @@ int run(std::size_t count, std::uint64_t seed) {
       if (sent - looked < 100) continue;
       looked = sent;
       if (!good.frames(1))
-        throw std::runtime_error("the good client was let down: " + server.output());
+        throw std::runtime_error("the good client was let down after " + std::to_string(sent) +
+                                 " messages, \"" + good.goodbye() + "\": " + server.output());
       most_files = std::max(most_files, testing::open_files(server.pid()));
+      const double kib = testing::resident_kib(server.pid());
       double& most = sent < count / 5 ? warm_kib : most_kib;
-      most = std::max(most, testing::resident_kib(server.pid()));
+      most = std::max(most, kib);
+      double& in_tenth = tenths_kib[std::min<std::size_t>(10 * sent / count, 9)];
+      in_tenth = std::max(in_tenth, kib);
     }
   }
   const Counts attacked = Counts::of(port);
@@ -454,7 +460,9 @@ int run(std::size_t count, std::uint64_t seed) {
   std::printf("  forces         %.2f %% of the poses answered, at most %.3f N\n", answered, peak_n);
   std::printf("  memory         %.0f KiB after a fifth, %+.0f at most after that\n", warm_kib,
               most_kib - warm_kib);
-  std::printf("  files          %d before, at most %d, %d after\n", files_before, most_files,
+  std::printf("  MiB by tenths ");
+  for (const double kib : tenths_kib) std::printf(" %.1f", kib / 1024.0);
+  std::printf("\n  files          %d before, at most %d, %d after\n", files_before, most_files,
               files_after);
 
   int failed = 0;

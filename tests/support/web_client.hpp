@@ -179,9 +179,13 @@ class WebClient {
         send(kPong, payload);
       } else if (first == kText || first == kBinary) {
         return Message{first == kText, std::move(payload)};
+      } else if (first == 0x88) {
+        goodbye_ = payload.size() > 2 ? payload.substr(2) : "no word";
       }
     }
   }
+  /// Returns why the server ended this; empty where it did not say goodbye.
+  [[nodiscard]] const std::string& goodbye() const { return goodbye_; }
   /// Says whether something has arrived that was not taken in.
   [[nodiscard]] bool readable() const { return tcp_.readable(); }
   /// Takes in what has arrived, or waits for it; false where the server has gone.
@@ -196,7 +200,7 @@ class WebClient {
 
  private:
   TcpClient tcp_;
-  std::string buffer_;
+  std::string buffer_, goodbye_;
   std::map<std::string, std::uint32_t> channels_;
 };
 

@@ -149,15 +149,22 @@ TEST_F(ClientTest, GetsWhatWasSaidBeforeItCame) {
   EXPECT_EQ(got, 5);
 }
 
-TEST_F(ClientTest, ReadsATopicOfTheForceThreadsOnlyWhileSomebodyListens) {
+TEST_F(ClientTest, ReadsATopicOfTheForceThreadsWhileSomebodyListensAndAMinuteMore) {
   suture::Writer<suture::v1::ToolForce> forces(control_);
   EXPECT_EQ(forces.matched(), 0);
-  {
+  Feed& feed = source_.feed;
+  const auto now = std::chrono::steady_clock::now();
+  for (int visits = 0; visits < 3; ++visits) {
     Client client(source_, ports_, everything(), "");
     subscribe(client, 1, channel("suture/tool/force"));
+    feed.close_idle(now + 2 * kReaderStays);  // it is listened to
     EXPECT_TRUE(eventually([&] { return forces.matched() == 1; }));
   }
+  feed.close_idle(now + kReaderStays / 2);
+  EXPECT_TRUE(feed.reads(channel("suture/tool/force")));
+  feed.close_idle(now + 2 * kReaderStays);
   EXPECT_TRUE(eventually([&] { return forces.matched() == 0; }));
+  EXPECT_TRUE(feed.reads(channel("suture/status"))) << "what late joiners get stays";
 }
 
 TEST_F(ClientTest, DrivesAToolAsADeviceOfItsOwn) {

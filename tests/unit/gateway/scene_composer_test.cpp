@@ -4,9 +4,11 @@
 
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <limits>
 #include <vector>
 
+#include "gateway/feed.hpp"
 #include "support/test_session.hpp"
 
 namespace sutured::gateway {
@@ -51,6 +53,22 @@ TEST_F(SceneComposerTest, DrawsStressesThatAreNoNumbersAsAtRest) {
   const std::string bytes(text, drawn->bytes().size());
   // The scale is the largest number's: an infinity would stay in it for good.
   EXPECT_NE(bytes.find("5.000000"), std::string::npos);
+}
+
+TEST_F(SceneComposerTest, IsThereForWhoComesAgainAndRestsAfterAMinute) {
+  send_body({0, 1, 2}, {1.0F, 1.0F, 1.0F, 1.0F});
+  ASSERT_TRUE(composer_.compose());
+  composer_.watch(false);
+  const auto now = std::chrono::steady_clock::now();
+  composer_.close_idle(now);
+  EXPECT_FALSE(composer_.compose());
+  composer_.watch(true);
+  EXPECT_TRUE(composer_.compose()) << "without a word from the server";
+  composer_.close_idle(now + 2 * kReaderStays);
+  EXPECT_TRUE(composer_.reads()) << "it is watched";
+  composer_.watch(false);
+  composer_.close_idle(now + 2 * kReaderStays);
+  EXPECT_FALSE(composer_.reads());
 }
 
 TEST_F(SceneComposerTest, DrawsNoTrianglesOfVerticesThatAreNotThere) {
