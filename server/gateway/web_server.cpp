@@ -426,6 +426,7 @@ struct WebServer::State {
         reason.code = close->code;
         reason.reason = close->reason.substr(0, 120);
         end.expires_after(options.request_patience);
+        over = true;  // Beast's close reads too: no new read may begin beside it
         co_await socket.async_close(reason, kAwait);
         break;
       }

@@ -417,7 +417,15 @@ int run(std::size_t count, std::uint64_t seed) {
     Attack attack(port, seed);
     std::size_t looked = 0;
     while (sent < count) {
-      sent += attack.one();
+      try {
+        sent += attack.one();
+      } catch (const std::exception& error) {
+        server.send(SIGTERM);
+        const int code = server.wait();
+        throw std::runtime_error(std::string(error.what()) + ", after " + std::to_string(sent) +
+                                 " messages; the server ended with " + std::to_string(code) + ": " +
+                                 server.output());
+      }
       if (sent - looked < 100) continue;
       looked = sent;
       if (!good.frames(1))

@@ -173,6 +173,23 @@ TEST_F(PatienceTest, AClientWhoseNonsenseMeetsTheGoodbyeIsLetGo) {
   }
 }
 
+TEST_F(PatienceTest, AClientThatTalksThroughTheGoodbyeIsLetGo) {
+  const auto text = [](std::size_t size) {
+    return testing::web_frame(testing::WebClient::kText, std::string(size, 'x'));
+  };
+  // In one packet, so that all of it has been read: one of the long messages is on its way to us
+  // in two pieces when the goodbye has been written, and passes over the second.
+  for (int before = 0; before < 12; ++before) {
+    const testing::TcpClient client = connect("/silent");
+    std::string heard, messages;
+    while (heard.find("\r\n\r\n") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+    for (int i = 0; i < before; ++i) messages += text(3);
+    client.send(messages + text(3000));
+    while (heard.find("as you say") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+  }
+  EXPECT_TRUE(eventually([&] { return open_connections() == 0; }));
+}
+
 TEST_F(PatienceTest, AClientThatAnswersPingsStays) {
   const testing::TcpClient quiet = connect("/silent");
   std::string heard;
