@@ -38,7 +38,7 @@ using Clock = std::chrono::steady_clock;
 
 constexpr auto kAwait = asio::as_tuple(asio::use_awaitable);
 constexpr std::size_t kHeadersMax = 8U << 10U;
-constexpr std::size_t kMessageMax = 64U << 10U;
+constexpr std::size_t kMessageMax = 64U << 10U, kPiece = 4096;
 // What the kernel holds for a client that does not read; a frame of a mesh fits.
 constexpr int kSendBuffer = 256 << 10;
 constexpr std::chrono::milliseconds kGoodbye(300);
@@ -399,18 +399,22 @@ struct WebServer::State {
 
   template <class Socket>
   asio::awaitable<void> listen(Socket& socket, WebClient& client, bool& over) {
-    beast::flat_buffer buffer(kMessageMax + 1024);
+    // Piece by piece: Beast's read of a whole message does not bear a close that begins between two
+    // of them, reads too, and passes over the rest.
+    beast::flat_buffer message(kMessageMax + kPiece);
     while (!over) {
-      auto [error, size] = co_await socket.async_read(buffer, kAwait);
+      auto [error, size] = co_await socket.async_read_some(message.prepare(kPiece), kAwait);
       if (error) break;
-      counters.bytes_received += size;
-      const auto* const data = static_cast<const char*>(buffer.cdata().data());
+      message.commit(size);
+      if (!socket.is_message_done()) continue;
+      counters.bytes_received += message.size();
+      const std::string_view body(static_cast<const char*>(message.cdata().data()), message.size());
       if (socket.got_text()) {
-        client.on_text({data, size});
+        client.on_text(body);
       } else {
-        client.on_binary(std::as_bytes(std::span(data, size)));
+        client.on_binary(std::as_bytes(std::span(body)));
       }
-      buffer.consume(buffer.size());
+      message.consume(message.size());
     }
     over = true;
     client.wake();
@@ -426,7 +430,7 @@ struct WebServer::State {
         reason.code = close->code;
         reason.reason = close->reason.substr(0, 120);
         end.expires_after(options.request_patience);
-        over = true;  // Beast's close reads too: no new read may begin beside it
+        over = true;  // Beast's close reads too: no other read begins beside it
         co_await socket.async_close(reason, kAwait);
         break;
       }

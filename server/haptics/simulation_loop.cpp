@@ -197,6 +197,8 @@ void SimulationLoop::take_input(std::size_t tool, std::int64_t now_ns) {
   input.position_m = {p[0], p[1], p[2]};
   input.orientation = Eigen::Quaterniond(q[3], q[0], q[1], q[2]).normalized();
   input.jaw = target.jaw;
+  // A hand that its clutch has taken out of the world holds nothing there.
+  input.present = input.present && simulation::may_follow(input);
 }
 
 void SimulationLoop::step(std::int64_t now_ns, double dt_s) {

@@ -46,12 +46,6 @@ std::int64_t since(Clock::time_point start) {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - start).count();
 }
 
-/// Whether a tool is anywhere that its rows may be made of.
-bool may_follow(const ToolInput& tool) {
-  return !tool.present || ((tool.position_m.array().abs() <= kPositionMax_m).all() &&
-                           tool.orientation.coeffs().allFinite() && std::isfinite(tool.jaw));
-}
-
 /// Sorts vertices along the longest side of their box.
 void sort_along_longest_side(std::vector<std::int32_t>& vertices, std::span<const Vec3> x_m) {
   const auto at = [&](std::int32_t v) -> const Vec3& { return x_m[static_cast<std::size_t>(v)]; };
@@ -65,6 +59,11 @@ void sort_along_longest_side(std::vector<std::int32_t>& vertices, std::span<cons
 }
 
 }  // namespace
+
+bool may_follow(const ToolInput& tool) noexcept {
+  return (tool.position_m.array().abs() <= kPositionMax_m).all() &&
+         tool.orientation.coeffs().allFinite() && std::isfinite(tool.jaw);
+}
 
 struct Simulation::State {
   explicit State(const scene::Scene& s) : scene(s), tissue(scene) {
@@ -524,7 +523,8 @@ Simulation::Simulation(Simulation&&) noexcept = default;
 Simulation& Simulation::operator=(Simulation&&) noexcept = default;
 
 void Simulation::step(std::span<const ToolInput> tools, double dt_s) {
-  if (!std::all_of(tools.begin(), tools.end(), may_follow))
+  if (!std::all_of(tools.begin(), tools.end(),
+                   [](const ToolInput& tool) { return !tool.present || may_follow(tool); }))
     throw std::invalid_argument("a tool's place is not finite, or beyond 1000 km");
   state_->step(tools, dt_s);
 }

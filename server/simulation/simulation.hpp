@@ -35,6 +35,10 @@ struct StressField {
   std::vector<Vec6> vertex_pa;  ///< one per vertex: σ_v
 };
 
+/// Says whether a tool is somewhere that its rows may be made of: finite, and no coordinate beyond
+/// 1e6 m.
+[[nodiscard]] bool may_follow(const ToolInput& tool) noexcept;
+
 /// Tissue, needles and tools of one scene, stepped through quasi-static equilibria.
 ///
 /// Thread: one at a time. Allocates: in the constructor, and in steps that touch new vertices.
@@ -48,8 +52,8 @@ class Simulation {
 
   /// Moves to the next equilibrium: the tools go to `tools` (one per scene tool, in order)
   /// within `dt_s`, in as many substeps as their motion asks for. Throws std::invalid_argument,
-  /// and changes nothing, where a present tool's place is not finite or beyond 1e6 m. A solve that
-  /// gives no finite multipliers is told as a kSolverResidual event, and its forces are none.
+  /// and changes nothing, where a present tool's place is none that `may_follow` accepts. A solve
+  /// that gives no finite multipliers is told as a kSolverResidual event, and its forces are none.
   void step(std::span<const ToolInput> tools, double dt_s);
 
   /// Brings the displacements of all vertices up to the last step: one backward pass.

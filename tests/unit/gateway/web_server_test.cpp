@@ -174,20 +174,21 @@ TEST_F(PatienceTest, AClientWhoseNonsenseMeetsTheGoodbyeIsLetGo) {
 }
 
 TEST_F(PatienceTest, AClientThatTalksThroughTheGoodbyeIsLetGo) {
-  const auto text = [](std::size_t size) {
-    return testing::web_frame(testing::WebClient::kText, std::string(size, 'x'));
-  };
-  // In one packet, so that all of it has been read: one of the long messages is on its way to us
-  // in two pieces when the goodbye has been written, and passes over the second.
-  for (int before = 0; before < 12; ++before) {
+  // A message in parts, in one packet with what ends the connection: all of it has been read, and
+  // the parts are on their way to us one by one when the goodbye is written and passes over them.
+  constexpr std::uint8_t kFirst = 0x01, kNext = 0x00, kLast = 0x80;
+  std::string parts = testing::web_frame(kFirst, "a");
+  for (int i = 0; i < 10; ++i) parts += testing::web_frame(kNext, "b");
+  parts += testing::web_frame(kLast, "c");
+  for (const bool long_ago : {false, true}) {
     const testing::TcpClient client = connect("/silent");
-    std::string heard, messages;
+    std::string heard;
     while (heard.find("\r\n\r\n") == std::string::npos) ASSERT_TRUE(client.receive(heard));
-    for (int i = 0; i < before; ++i) messages += text(3);
-    client.send(messages + text(3000));
+    client.send(testing::web_frame(testing::WebClient::kText, "bye") + parts);
     while (heard.find("as you say") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+    if (long_ago) client.send(parts);
+    EXPECT_TRUE(eventually([&] { return open_connections() == 0; }));
   }
-  EXPECT_TRUE(eventually([&] { return open_connections() == 0; }));
 }
 
 TEST_F(PatienceTest, AClientThatAnswersPingsStays) {
