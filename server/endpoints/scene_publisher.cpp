@@ -28,7 +28,7 @@ constexpr const char* kNoCheckpoints =
 
 constexpr std::array<std::string_view, haptics::kFaultCount> kFaultTexts{
     "no pose in time: the force fades",
-    "a pose that is not finite: the force fades",
+    "a pose that is not finite, or beyond 1 km (poses are in metres): the force fades",
     "a quaternion that is not of unit length: the force fades",
     "a pose that jumps: the force fades",
     "more than 4000 poses a second: the rest is dropped",

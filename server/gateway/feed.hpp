@@ -66,7 +66,7 @@ class Feed {
     std::size_t depth = 1;
     int subscribers = 0;
     std::chrono::steady_clock::time_point left;          // by the last subscriber
-    std::unique_ptr<suture::SerializedReader> reader;    // null: nobody wants it
+    std::unique_ptr<suture::SerializedReader> reader;    // null: nobody has wanted it
     std::map<std::uint64_t, std::deque<Delivery>> kept;  // by instance
   };
   [[nodiscard]] Source& source(std::uint32_t channel) { return sources_[channel - 1]; }

@@ -202,13 +202,15 @@ void SceneComposer::watch(bool wanted) {
   watched_ = wanted;
   left_ = std::chrono::steady_clock::now();
   if (wanted && !readers_) readers_ = std::make_unique<Readers>(mesh_);
-  if (!tissues_.empty()) news_ = true;  // who comes again gets what there is
+  if (wanted && !tissues_.empty()) news_ = true;  // who comes again gets what there is
 }
 
 void SceneComposer::close_idle(std::chrono::steady_clock::time_point now) {
-  if (watched_ || now - left_ < kReaderStays) return;
+  if (!readers_ || watched_ || now - left_ < kReaderStays) return;
   readers_.reset();
   begin_epoch(0);
+  news_ = false;
+  stamp_ns_ = 0;
 }
 
 void SceneComposer::begin_epoch(std::uint64_t epoch) {

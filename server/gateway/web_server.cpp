@@ -10,6 +10,7 @@
 #include <boost/asio/experimental/awaitable_operators.hpp>
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/multiple_exceptions.hpp>
 #include <boost/asio/ssl.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <boost/asio/use_awaitable.hpp>
@@ -378,16 +379,37 @@ struct WebServer::State {
     co_await (converse(socket, *client, end) || until(end));
   }
 
-  /// Both ways at once, until either is over. `end` has come then, or brings that about.
+  /// Lets `end` come with itself: of two that are waited for, one that fails does not end the
+  /// other.
+  class Ending {
+   public:
+    explicit Ending(asio::steady_timer& end) : end_(end) {}
+    ~Ending() {
+      try {
+        end_.expires_at(Clock::now());
+      } catch (const std::exception&) {  // a timer of this kind can always be set
+      }
+    }
+    Ending(const Ending&) = delete;
+    Ending& operator=(const Ending&) = delete;
+
+   private:
+    asio::steady_timer& end_;
+  };
+
+  /// Both ways at once, until either is over; `end` comes then, if it has not brought that about.
   template <class Socket>
   asio::awaitable<void> converse(Socket& socket, WebClient& client, asio::steady_timer& end) {
+    const Ending ending(end);
     asio::steady_timer bell(*io, Clock::time_point::max());
     const Presence presence(*this, client, bell);
     bool over = false;
     using asio::experimental::awaitable_operators::operator&&;
     try {
       co_await (listen(socket, client, over) && speak(socket, client, bell, end, over));
-    } catch (...) {  // else `until` would be waited for
+    } catch (const asio::multiple_exceptions& both) {  // the second was cancelled by the first
+      note(both.first_exception());
+    } catch (...) {
       note(std::current_exception());
     }
   }

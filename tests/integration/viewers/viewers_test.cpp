@@ -147,6 +147,11 @@ TEST_F(Viewers, FiftyOfWhomFiveNeverReadTakeNothingFromTheOthers) {
               100 * *std::max_element(shares.begin(), shares.end()),
               (testing::resident_kib(server_.pid()) - before_kib) / 1024);
 
+  healthy.clear();
+  stalled.clear();
+  EXPECT_TRUE(eventually([&] { return metric(port, "sutured_viewers") == 0; }))
+      << "the reader that stays for a minute is none of them";
+
   hand_.send(SIGINT);
   EXPECT_EQ(hand_.wait(), 128 + SIGINT) << "it was led to the end: " << hand_.output();
   server_.send(SIGINT);

@@ -69,6 +69,8 @@ TEST_F(SceneComposerTest, IsThereForWhoComesAgainAndRestsAfterAMinute) {
   composer_.watch(false);
   composer_.close_idle(now + 2 * kReaderStays);
   EXPECT_FALSE(composer_.reads());
+  composer_.watch(true);
+  EXPECT_FALSE(composer_.compose()) << "nothing of a minute ago, and not an empty scene";
 }
 
 TEST_F(SceneComposerTest, DrawsNoTrianglesOfVerticesThatAreNotThere) {

@@ -80,11 +80,12 @@ TEST_F(WebServerTest, ATaskThatFailsIsRunAgain) {
   EXPECT_EQ(told().size(), 1U);
 }
 
-/// Has always something to send, or never; ends when it is told something.
+/// Has always something to send, or never; ends when it is told something, and breaks at "fault".
 class Talker : public WebClient {
  public:
   explicit Talker(bool talks) : talks_(talks) {}
-  void on_text(std::string_view) override {
+  void on_text(std::string_view text) override {
+    if (text == "fault") throw std::runtime_error("of the talker");
     told_ = true;
     wake();
   }
@@ -125,6 +126,8 @@ class PatienceTest : public ::testing::Test {
     return client;
   }
 
+  std::promise<std::string> faults_;  // told once in a test
+
   static WebServer::Options impatient() {
     WebServer::Options options;
     options.idle_patience = options.request_patience = std::chrono::seconds(1);
@@ -137,7 +140,8 @@ class PatienceTest : public ::testing::Test {
        .open =
            [](const Request& request) {
              return WebServer::Accepted{std::make_shared<Talker>(request.path == "/talks"), ""};
-           }}};
+           },
+       .fault = [this](const std::string& text) { faults_.set_value(text); }}};
   std::thread thread_;
 };
 
@@ -155,6 +159,15 @@ TEST_F(PatienceTest, AClientThatAnswersNoPingIsLetGo) {
   }
   EXPECT_THAT(heard, HasSubstr("101 Switching Protocols"));
   EXPECT_THAT(heard, HasSubstr("\x89")) << "it was asked first";
+  EXPECT_TRUE(eventually([&] { return open_connections() == 0; }));
+}
+
+TEST_F(PatienceTest, AClientThatBreaksEndsItsConnectionAndWhyIsTold) {
+  const testing::TcpClient client = connect("/silent");
+  std::string heard;
+  while (heard.find("\r\n\r\n") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+  client.send(testing::web_frame(testing::WebClient::kText, "fault"));
+  EXPECT_THAT(faults_.get_future().get(), HasSubstr("of the talker"));
   EXPECT_TRUE(eventually([&] { return open_connections() == 0; }));
 }
 
