@@ -40,7 +40,7 @@ constexpr int kRevisionsMax = 4;
 constexpr int kIdleStepsMax = 512;
 constexpr double kResidualMax = 1e-8;
 // As far as a surgeon's file may go: what is squared or multiplied stays far from overflow.
-constexpr double kPositionMax_m = 1e6;
+constexpr double kFarthest_m = 1e6;
 
 std::int64_t since(Clock::time_point start) {
   return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - start).count();
@@ -61,7 +61,7 @@ void sort_along_longest_side(std::vector<std::int32_t>& vertices, std::span<cons
 }  // namespace
 
 bool may_follow(const ToolInput& tool) noexcept {
-  return (tool.position_m.array().abs() <= kPositionMax_m).all() &&
+  return (tool.position_m.array().abs() <= kFarthest_m).all() &&
          tool.orientation.coeffs().allFinite() && std::isfinite(tool.jaw);
 }
 

@@ -126,6 +126,19 @@ class PatienceTest : public ::testing::Test {
     return client;
   }
 
+  /// Connects, and returns when the server has let it talk.
+  [[nodiscard]] testing::TcpClient talk(const std::string& path) {
+    testing::TcpClient client = connect(path);
+    hear(client, "\r\n\r\n");
+    return client;
+  }
+  /// Waits until the server has said `words`.
+  static void hear(const testing::TcpClient& client, std::string_view words) {
+    std::string heard;
+    while (heard.find(words) == std::string::npos)
+      if (!client.receive(heard)) throw std::runtime_error("gone, after: " + heard);
+  }
+
   std::promise<std::string> faults_;  // told once in a test
 
   static WebServer::Options impatient() {
@@ -163,9 +176,7 @@ TEST_F(PatienceTest, AClientThatAnswersNoPingIsLetGo) {
 }
 
 TEST_F(PatienceTest, AClientThatBreaksEndsItsConnectionAndWhyIsTold) {
-  const testing::TcpClient client = connect("/silent");
-  std::string heard;
-  while (heard.find("\r\n\r\n") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+  const testing::TcpClient client = talk("/silent");
   client.send(testing::web_frame(testing::WebClient::kText, "fault"));
   EXPECT_THAT(faults_.get_future().get(), HasSubstr("of the talker"));
   EXPECT_TRUE(eventually([&] { return open_connections() == 0; }));
@@ -173,14 +184,12 @@ TEST_F(PatienceTest, AClientThatBreaksEndsItsConnectionAndWhyIsTold) {
 
 TEST_F(PatienceTest, AClientWhoseNonsenseMeetsTheGoodbyeIsLetGo) {
   for (const bool goes : {false, true}) {
-    testing::TcpClient client = connect("/silent");
-    std::string heard;
-    while (heard.find("\r\n\r\n") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+    testing::TcpClient client = talk("/silent");
     // So long that it is read for itself, up to its end: the nonsense behind it is read when the
     // goodbye has been written and its writer has not been told yet.
     client.send(testing::web_frame(testing::WebClient::kText, std::string(20'000, 'x')) +
                 testing::web_frame(0xF3, "no frame of RFC 6455"));
-    while (heard.find("as you say") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+    hear(client, "as you say");
     if (goes) client.abort();
     EXPECT_TRUE(eventually([&] { return open_connections() == 0; })) << goes;
   }
@@ -194,11 +203,9 @@ TEST_F(PatienceTest, AClientThatTalksThroughTheGoodbyeIsLetGo) {
   for (int i = 0; i < 10; ++i) parts += testing::web_frame(kNext, "b");
   parts += testing::web_frame(kLast, "c");
   for (const bool long_ago : {false, true}) {
-    const testing::TcpClient client = connect("/silent");
-    std::string heard;
-    while (heard.find("\r\n\r\n") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+    const testing::TcpClient client = talk("/silent");
     client.send(testing::web_frame(testing::WebClient::kText, "bye") + parts);
-    while (heard.find("as you say") == std::string::npos) ASSERT_TRUE(client.receive(heard));
+    hear(client, "as you say");
     if (long_ago) client.send(parts);
     EXPECT_TRUE(eventually([&] { return open_connections() == 0; }));
   }
