@@ -57,6 +57,10 @@ export const event = (page, kind, count = 1) =>
 
 export const lease = (page, state) => page.waitForSelector(`html[data-lease="${state}"]`, { state: "attached" });
 
+/** Returns what a page shows of its tools, its figures and its events. */
+export const shown = (page) => page.evaluate(() => [`lease ${document.documentElement.dataset.lease}`,
+  ...["tools", "status", "events"].map((id) => document.getElementById(id)?.innerText)].join("\n"));
+
 /**
  * Returns the share of the picture's pixels whose colour `is` accepts, left and right of the middle.
  * `is` runs in the page: (r, g, b) → boolean.

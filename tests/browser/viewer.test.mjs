@@ -4,8 +4,8 @@ import { createHash } from "node:crypto";
 import { mkdtempSync, readdirSync, rmSync, statSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { after, before, beforeEach, describe, it } from "node:test";
-import { event, figure, launch, lease, missing, nextFrame, open, pixels, root, Server } from "./support.mjs";
+import { after, before, beforeEach, describe, it as register } from "node:test";
+import { event, figure, launch, lease, missing, nextFrame, open, pixels, root, Server, shown } from "./support.mjs";
 
 const why = missing();
 if (why) {
@@ -50,6 +50,15 @@ describe("the viewer", { timeout: 240_000 }, () => {
     for (const { page: opened } of context) await opened.close();
     context = [];
   });
+  // A failure tells what its pages showed.
+  const it = (name, test) => register(name, async () => {
+    try {
+      await test();
+    } catch (error) {
+      for (const { page: opened } of context) if (!opened.isClosed()) console.log(await shown(opened));
+      throw error;
+    }
+  });
 
   it("weighs less than a megabyte", () => {
     let bytes = 0;
@@ -61,9 +70,13 @@ describe("the viewer", { timeout: 240_000 }, () => {
   });
 
   it("draws both vessels and the needle", async () => {
+    const firstPicture = (of) => of.evaluate(() => document.documentElement.dataset.firstPictureMs);
+    const first = await page();
+    const cold_ms = await firstPicture(first);
+    await first.close();
     const opened = await page();
-    const ms = await opened.evaluate(() => document.documentElement.dataset.firstPictureMs);
-    console.log(`first picture: ${ms} ms after the page was asked for (budget on loopback: 2000 ms)`);
+    console.log(`first picture: ${await firstPicture(opened)} ms after the page was asked for, ${cold_ms} ms in a browser just started ` +
+      "(budget on loopback: 2000 ms)");
     await opened.waitForSelector('[data-figure="Mesh"]');
     await nextFrame(opened);
     const warm = await pixels(opened, tissue);
@@ -71,7 +84,7 @@ describe("the viewer", { timeout: 240_000 }, () => {
     assert.ok(warm.right > 0.04 && warm.right < 0.6, `tissue on the right: ${warm.right}`);
     const bright = await pixels(opened, steel);
     assert.ok(bright.left + bright.right > 0.002, `steel: ${bright.left + bright.right}`);
-    assert.deepEqual(context[0].faults, []);
+    for (const { faults } of context) assert.deepEqual(faults, []);
   });
 
   it("gets at least thirty frames a second", async () => {
@@ -165,9 +178,14 @@ describe("the viewer", { timeout: 240_000 }, () => {
       await nextFrame(opened);
     };
     await opened.locator('[data-tool="driver"]').getByRole("button").and(opened.locator(":enabled")).waitFor();
-    await press(kStart);
-    await press();
-    await lease(opened, "held");
+    // A page that is too busy to lead gives the tool back, and says so: a person takes it again.
+    for (let told = 0; ; ++told) {
+      await press(kStart);
+      await press();
+      const held = await opened.waitForFunction((before) => document.documentElement.dataset.lease === "held" ? "held"
+        : document.querySelectorAll('.events li[data-kind="Page"]').length > before && "given back", told);
+      if ((await held.jsonValue()) === "held") break;
+    }
 
     // Its pose arrives: the page of somebody else sees the tool move to the right, and only with the shoulder.
     const label = watcher.locator(".label", { hasText: /^driver/ });

@@ -26,6 +26,7 @@ export class Arrows {
     this.#heads = new InstancedMesh(new ConeGeometry(1, 1, 20).translate(0, 0.5, 0), material, most);
     for (const mesh of [this.#shafts, this.#heads]) {
       mesh.frustumCulled = false;
+      mesh.setColorAt(0, new Color());  // its program differs from one of a mesh without colours
       mesh.count = 0;
       mesh.visible = false;
       this.group.add(mesh);

@@ -151,6 +151,9 @@ export class Stage {
       this.#view.onDrawn = () => {
         this.#view.onDrawn = undefined;
         this.#firstPicture(performance.now());
+        this.#view.adapt();
+        // What shows later, so that a hand's first picture does not wait for its programs.
+        for (const group of [this.tools.group, this.sutures.group, this.#contacts.group]) this.#view.prepare(group);
       };
   }
 }

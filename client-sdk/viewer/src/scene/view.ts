@@ -14,6 +14,7 @@ const kAwake_ms = 400;
 const kFly_ms = 450;
 const kSlowFrame_ms = 45;
 const kFastFrame_ms = 20;
+/** Pixels of the picture to one of the page: the fewest, with which a page without a GPU begins. */
 const kLeastRatio = 0.6;
 
 /** Whether a processor draws, without a GPU: shadows would cost it most of its time. */
@@ -36,7 +37,8 @@ export class View {
   #controls: OrbitControls;
   #awakeUntil_ms = 0;
   #ratio: number;
-  readonly #adapts: boolean;
+  readonly #best: boolean;
+  #adapts = false;
   #frame_ms = 16;
   #lastDrawn_ms = 0;
   #flight: { from: CameraPlace; to: CameraPlace; start_ms: number } | undefined;
@@ -50,17 +52,21 @@ export class View {
   /** `best`: shadows and all pixels, however slow. Throws where the browser has no WebGL 2. */
   constructor(canvas: HTMLCanvasElement, best: boolean) {
     this.canvas = canvas;
+    // A context that is made in its size need not be made again, for which a page without a GPU waits long.
+    this.#ratio = kLeastRatio;
+    [canvas.width, canvas.height] = this.#pixels();
     const context = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "high-performance" });
     if (!context) throw new Error("this browser has no WebGL 2, which the picture needs");
     this.#renderer = new WebGLRenderer({ canvas, context });
+    // To ask a program whether it was made is to wait until it is: a second of the page's time without a GPU.
+    this.#renderer.debug.checkShaderErrors = import.meta.env.DEV;
     const plain = !best && isSoftware(context);
     this.#renderer.toneMapping = NeutralToneMapping;
     this.#renderer.toneMappingExposure = 0.86;
     this.#renderer.shadowMap.enabled = !plain;
     this.#renderer.shadowMap.type = PCFShadowMap;
-    this.#ratio = plain ? 0.75 : Math.min(devicePixelRatio, 2);
-    this.#adapts = !best;
-    this.#renderer.setPixelRatio(this.#ratio);
+    if (!plain) this.#ratio = Math.min(devicePixelRatio, 2);
+    this.#best = best;
     this.#key.castShadow = !plain;
     this.#key.shadow.mapSize.set(2048, 2048);
     this.#key.shadow.bias = -0.0006;
@@ -81,6 +87,11 @@ export class View {
   /** Draws for a while. */
   wake(): void {
     this.#awakeUntil_ms = performance.now() + kAwake_ms;
+  }
+
+  /** From now on pictures have fewer pixels where they come slowly: the scene is on show. */
+  adapt(): void {
+    this.#adapts = !this.#best;
   }
 
   get aspect(): number {
@@ -219,13 +230,18 @@ export class View {
   }
 
   #resize(): void {
-    const parent = this.canvas.parentElement!;
-    const [width, height] = [parent.clientWidth, parent.clientHeight];
+    const [width, height] = this.#pixels();
     if (width === 0 || height === 0) return;
-    this.#renderer.setSize(width, height, false);
+    if (width !== this.canvas.width || height !== this.canvas.height) this.#renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     this.wake();
+  }
+
+  /** Returns how many pixels the picture is wide and high. */
+  #pixels(): [number, number] {
+    const parent = this.canvas.parentElement!;
+    return [Math.floor(parent.clientWidth * this.#ratio), Math.floor(parent.clientHeight * this.#ratio)];
   }
 
   #tick(now_ms: number): void {
@@ -264,7 +280,6 @@ export class View {
     if (Math.abs(ratio - this.#ratio) < 0.02) return;
     this.#ratio = ratio;
     this.#frame_ms = 30;
-    this.#renderer.setPixelRatio(ratio);
     this.#resize();
   }
 }
