@@ -139,11 +139,11 @@ coverage: deps-test ## Print how much of the sources the tests run: all, or thos
 	@cmake --preset coverage >/dev/null
 	@cmake --build --preset coverage $(if $(TARGETS),--target $(TARGETS))
 	@find $(COVERAGE) -name '*.gcda' -delete
-	@ctest --test-dir $(COVERAGE) -R '$(TESTS)' -LE '$(or $(WITHOUT),none)' --output-on-failure --progress
-	@gcovr --root . --object-directory $(COVERAGE) --filter server/ --filter protocol/ --filter client-sdk/ \
+	@ctest --test-dir $(COVERAGE) -R '$(TESTS)' -LE '$(or $(WITHOUT),none)' --output-on-failure --progress; result=$$?; \
+	gcovr --root . --object-directory $(COVERAGE) --filter server/ --filter protocol/ --filter client-sdk/ \
 	  --exclude '.*/examples/' --exclude-throw-branches --exclude-unreachable-branches --print-summary \
-	  --json-summary $(COVERAGE)/summary.json --txt $(COVERAGE)/files.txt
-	@/usr/bin/python3 tests/coverage/folders.py $(COVERAGE)/summary.json
+	  --json-summary $(COVERAGE)/summary.json --txt $(COVERAGE)/files.txt && \
+	/usr/bin/python3 tests/coverage/folders.py $(COVERAGE)/summary.json && exit $$result
 
 .PHONY: bench
 bench: deps-test ## Measure the budgets: a table, and build/bench/results.json
