@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { cross, dot, length, subtract, type Vec3 } from "../src/maths/vector";
-import { eventText } from "../src/panels/events";
+import { eventText, joined } from "../src/panels/events";
 import { Recent } from "../src/panels/recent";
 import { Rate } from "../src/panels/status";
 import { pageOptions } from "../src/page_options";
@@ -128,6 +128,11 @@ test("an event is a line for people", () => {
   assert.equal(eventText(event), "needle punctures proximal (0.0512 N)");
   assert.equal(eventText({ ...event, kind: EventKind.Fault, subject: "driver", object: "", unit: "", faults: 8, text: "a pose that jumps: the force fades" }),
     "driver: a pose that jumps: the force fades");
+
+  const late = { ...event, kind: EventKind.Overrun, subject: "", object: "", unit: "", text: "periods were missed", value: 3 };
+  assert.equal(eventText(joined(late, { ...late, value: 4 })!), "periods were missed (7)");
+  for (const [before, after] of [[event, event], [late, event], [event, late], [undefined, late], [late, { ...late, text: "other" }]] as const)
+    assert.equal(joined(before, after), undefined);
 });
 
 test("an address asks for a picture, a theme and a view, and for nothing by mistake", () => {

@@ -34,6 +34,13 @@ export function eventText(event: ServerEvent): string {
   return words.join(" ") + unit + faults;
 }
 
+/** Returns both as one event with their sum, where a machine that is too slow says the same once a second. */
+export function joined(before: ServerEvent | undefined, event: ServerEvent): ServerEvent | undefined {
+  if (event.kind !== EventKind.Overrun || before?.kind !== event.kind || before.text !== event.text || before.subject !== event.subject)
+    return undefined;
+  return { ...event, value: before.value + event.value };
+}
+
 const kind = (event: ServerEvent): string =>
   kBad.has(event.kind) ? "bad" : kWarn.has(event.kind) ? "warn" : kNeedle.has(event.kind) ? "needle" : "";
 
@@ -42,6 +49,8 @@ export class Events {
   readonly element: HTMLElement;
   readonly #list = h("ol", { class: "events", tabindex: 0, "aria-label": "Events, the newest first" });
   readonly #seen = new Set<string>();
+  /** Of the line on top. */
+  #newest: ServerEvent | undefined;
 
   constructor() {
     this.element = card("Events", "events", this.#list);
@@ -52,11 +61,15 @@ export class Events {
     const key = `${event.epoch}/${event.sequence_number}/${event.stamp_ns}`;
     if (this.#seen.has(key)) return false;
     this.#seen.add(key);
+    const joint = joined(this.#newest, event);
+    if (joint) this.#list.firstElementChild!.remove();
+    this.#newest = event = joint ?? event;
     this.#add(`${event.simulation_time_s.toFixed(2)} s`, eventText(event), kind(event), EventKind[event.kind] ?? "");
     return true;
   }
 
   notice(text: string, state = ""): void {
+    this.#newest = undefined;
     this.#add("", text, state, "Page");
   }
 
