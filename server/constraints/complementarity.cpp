@@ -47,13 +47,25 @@ bool factor_regularised(int n, std::vector<double>& a, const std::vector<double>
 
 void ComplementaritySolver::reserve(int rows) {
   for (std::vector<double>* matrix : {&l_, &s_, &reduced_}) matrix->resize(at(rows) * at(rows));
+  reduced_of_.reserve(at(rows));
   v_.resize(at(rows) * at(rows) / 4);  // n_B × n_U, n_B + n_U rows
 }
 
-void ComplementaritySolver::factor(const ComplianceMatrix& w, std::span<const Bounds> bounds) {
+bool ComplementaritySolver::same_bilateral(std::span<const Bounds> bounds) const {
+  return std::equal(bounds.begin(), bounds.end(), bounds_.begin(), bounds_.end(),
+                    [](const Bounds& a, const Bounds& b) {
+                      return a.bilateral_unbounded() == b.bilateral_unbounded();
+                    });
+}
+
+void ComplementaritySolver::factor(const ComplianceMatrix& w, std::span<const Bounds> bounds,
+                                   bool kept) {
+  const bool as_before = kept && w_ == &w && same_bilateral(bounds);
   w_ = &w;
   m_ = w.size;
   bounds_.assign(bounds.begin(), bounds.end());
+  if (as_before) return;
+  reduced_of_.clear();
   bilateral_.clear();
   bounded_.clear();
   for (int i = 0; i < m_; ++i)
@@ -63,7 +75,7 @@ void ComplementaritySolver::factor(const ComplianceMatrix& w, std::span<const Bo
   for (int j = 0; j < nb; ++j)
     for (int i = 0; i < nb; ++i)
       reduced_[at(j) * at(nb) + at(i)] = w(bilateral_[at(i)], bilateral_[at(j)]);
-  regularised_ = factor_regularised(nb, l_, reduced_);
+  bilateral_regularised_ = factor_regularised(nb, l_, reduced_);
   v_.resize(at(nb) * at(nu));
   for (int j = 0; j < nu; ++j)
     for (int i = 0; i < nb; ++i) v_[at(j) * at(nb) + at(i)] = w(bilateral_[at(i)], bounded_[at(j)]);
@@ -109,7 +121,6 @@ bool ComplementaritySolver::solve_free() {
   }
   const int nf = static_cast<int>(free_.size());
   if (nf == 0) return true;
-  reduced_.resize(at(nf) * at(nf));
   reduced_rhs_.resize(at(nf));
   double largest = 0.0;
   for (int j = 0; j < nf; ++j) {
@@ -120,6 +131,18 @@ bool ComplementaritySolver::solve_free() {
         rhs -= condensed_compliance(free_[at(j)], k) * lambda_u_[at(k)];
     reduced_rhs_[at(j)] = rhs;
   }
+  if (free_ != reduced_of_ && !factor_free(largest)) return false;
+  blas::forward(nf, reduced_.data(), nf, reduced_rhs_.data(), 1, nf);
+  blas::backward(nf, reduced_.data(), nf, reduced_rhs_.data());
+  for (int j = 0; j < nf; ++j) lambda_u_[at(free_[at(j)])] = reduced_rhs_[at(j)];
+  return true;
+}
+
+/// Factors S_FF, with a share of its `largest` diagonal entry added where it takes one.
+bool ComplementaritySolver::factor_free(double largest) {
+  const int nf = static_cast<int>(free_.size());
+  reduced_of_.clear();
+  reduced_.resize(at(nf) * at(nf));
   for (const double shift : {0.0, 1e-9 * largest}) {
     for (int j = 0; j < nf; ++j) {
       for (int i = j; i < nf; ++i)
@@ -127,9 +150,7 @@ bool ComplementaritySolver::solve_free() {
       reduced_[at(j) * at(nf) + at(j)] += shift;
     }
     if (blas::cholesky(nf, reduced_.data(), nf)) {
-      blas::forward(nf, reduced_.data(), nf, reduced_rhs_.data(), 1, nf);
-      blas::backward(nf, reduced_.data(), nf, reduced_rhs_.data());
-      for (int j = 0; j < nf; ++j) lambda_u_[at(free_[at(j)])] = reduced_rhs_[at(j)];
+      if (shift == 0.0) reduced_of_ = free_;
       return true;
     }
     regularised_ = true;
@@ -230,6 +251,7 @@ bool ComplementaritySolver::descend(int& rounds) {
 SolveReport ComplementaritySolver::solve(std::span<const double> q, std::span<double> lambda,
                                          std::span<RowState> state) {
   SolveReport report;
+  regularised_ = bilateral_regularised_;
   const int nb = static_cast<int>(bilateral_.size()), nu = static_cast<int>(bounded_.size());
   half_q_.resize(at(nb));
   for (int i = 0; i < nb; ++i) half_q_[at(i)] = q[at(bilateral_[at(i)])];

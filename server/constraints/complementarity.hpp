@@ -47,8 +47,9 @@ class ComplementaritySolver {
   /// Takes the memory for `rows` rows.
   void reserve(int rows);
 
-  /// Takes W and the bounds of the rows and condenses the bilateral rows out.
-  void factor(const ComplianceMatrix& w, std::span<const Bounds> bounds);
+  /// Takes W and the bounds of the rows and condenses the bilateral rows out. `kept` says that W is
+  /// what it was in the call before: where the same rows are bilateral, so is all that follows.
+  void factor(const ComplianceMatrix& w, std::span<const Bounds> bounds, bool kept = false);
 
   /// Solves for `lambda` (size m). `state` (size m) is the warm start and receives the result.
   SolveReport solve(std::span<const double> q, std::span<double> lambda, std::span<RowState> state);
@@ -75,7 +76,9 @@ class ComplementaritySolver {
  private:
   [[nodiscard]] const Bounds& bounds_of(int i) const;
   [[nodiscard]] RowState right_state(int i) const;
+  [[nodiscard]] bool same_bilateral(std::span<const Bounds> bounds) const;
   bool solve_free();
+  bool factor_free(double largest);
   int count_wrong();
   bool descend(int& rounds);
 
@@ -83,14 +86,16 @@ class ComplementaritySolver {
   const ComplianceMatrix* w_ = nullptr;
   std::vector<Bounds> bounds_;
   std::vector<int> bilateral_, bounded_;
-  std::vector<double> l_;  ///< n_B × n_B, lower
-  std::vector<double> v_;  ///< n_B × n_U
-  std::vector<double> s_;  ///< n_U × n_U
-  bool regularised_ = false;
+  std::vector<double> l_;               ///< n_B × n_B, lower
+  std::vector<double> v_;               ///< n_B × n_U
+  std::vector<double> s_;               ///< n_U × n_U
+  bool regularised_ = false;            ///< in this solve
+  bool bilateral_regularised_ = false;  ///< in what `factor` made
   double lambda_scale_ = 0.0;
   std::vector<double> half_q_, qs_, lambda_u_, gap_u_, magnitude_u_, feasible_u_, reduced_,
       reduced_rhs_, gap_, residual_scratch_;
   std::vector<int> free_;
+  std::vector<int> reduced_of_;  ///< the free rows whose factor `reduced_` is; empty: of none
   std::vector<RowState> state_u_;
 };
 

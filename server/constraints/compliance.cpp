@@ -123,6 +123,7 @@ void Compliance::clear() {
   std::fill(is_loaded_.begin(), is_loaded_.end(), std::uint8_t{0});
   loaded_.clear();
   step_ = 0;
+  known_ = false;
 }
 
 void Compliance::evict(int idle_steps_max) {
@@ -283,9 +284,12 @@ void Compliance::add_needles(const ConstraintRows& rows, std::span<const NeedleM
 }
 
 const ComplianceMatrix& Compliance::assemble(const ConstraintRows& rows,
-                                             std::span<const NeedleMobility> needles) {
+                                             std::span<const NeedleMobility> needles, bool held) {
   ++step_;
   take_vertices(rows);
+  kept_ = held && known_;
+  if (kept_) return w_;
+  known_ = true;
   order_rows(rows);
   w_.size = rows.size();
   w_.value.resize(at(rows.size()) * at(rows.size()));

@@ -61,9 +61,12 @@ class Compliance {
   void clear();
 
   /// Condenses the tissue and the needles onto `rows`. Cost: three products for each entry and each
-  /// vertex in use of its part.
+  /// vertex in use of its part; nearly none where `held` says that the coefficients of all rows are
+  /// those of the call before, and no needle's (held_rows.hpp).
   const ComplianceMatrix& assemble(const ConstraintRows& rows,
-                                   std::span<const NeedleMobility> needles);
+                                   std::span<const NeedleMobility> needles, bool held = false);
+  /// Returns whether the last call of `assemble` left W as it was.
+  [[nodiscard]] bool kept() const { return kept_; }
 
   /// Takes the forces Cᵀ λ of solved rows as the present ones.
   void apply(const ConstraintRows& rows, std::span<const double> multiplier_n);
@@ -121,6 +124,7 @@ class Compliance {
   std::vector<std::int32_t> loaded_;        ///< vertices with a force, sorted
   std::vector<std::uint8_t> is_loaded_;     ///< per vertex
   std::vector<fem::PathLoad> loads_;
+  bool known_ = false, kept_ = false;  ///< W is of the call before; the last one kept it
   ComplianceMatrix w_;
 };
 

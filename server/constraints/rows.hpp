@@ -120,6 +120,9 @@ class ConstraintRows {
   [[nodiscard]] std::span<const Entry> entries(const Row& row) const {
     return {entries_.data() + row.first_entry, static_cast<std::size_t>(row.entry_count)};
   }
+  [[nodiscard]] std::span<Entry> entries(const Row& row) {
+    return {entries_.data() + row.first_entry, static_cast<std::size_t>(row.entry_count)};
+  }
 
  private:
   std::vector<Row> rows_;

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "constraints/complementarity.hpp"
+#include "constraints/held_rows.hpp"
 #include "contact/tissue_contact.hpp"
 #include "simulation/needle_body.hpp"
 #include "simulation/response.hpp"
@@ -93,7 +94,7 @@ struct Simulation::State {
     needle_states.resize(needles.size());
     thread_states.resize(scene.threads.size());
     mobilities.resize(needles.size());
-    rows.reserve(kRowsReserved, 8 * kRowsReserved);
+    rows_before.reserve(kRowsReserved, 8 * kRowsReserved);
     events.reserve(64);
     pending_events.reserve(64);
     clear_world_changed();
@@ -122,7 +123,8 @@ struct Simulation::State {
   bool settled = true;
   int inverted_told = 0;
 
-  constraints::ConstraintRows rows;
+  constraints::ConstraintRows rows, rows_before;
+  bool held = false;  ///< the rows have the coefficients of those before
   constraints::ComplementaritySolver solver;
   ResponseBuilder response_builder;
   std::vector<constraints::NeedleMobility> mobilities;
@@ -181,11 +183,13 @@ struct Simulation::State {
   }
 
   void build_rows() {
+    std::swap(rows, rows_before);
     rows.clear();
     for (NeedleBody& needle : needles) needle.add_rows(tissue, rows);
     for (ToolBody& tool : tools) tool.add_rows(tissue, needles, kReach_m, rows);
     for (ThreadBody& thread : threads) thread.add_rows(needles, tools, rows);
     if (contact) contact->add_rows(rows);
+    held = constraints::hold_coefficients(rows, rows_before, tissue.positions_m());
   }
 
   /// Named rows start as they ended the last solve, all others without force.
@@ -207,7 +211,7 @@ struct Simulation::State {
   void solve() {
     const auto start = Clock::now();
     for (std::size_t i = 0; i < needles.size(); ++i) mobilities[i] = needles[i].mobility();
-    const auto& w = tissue.compliance().assemble(rows, mobilities);
+    const auto& w = tissue.compliance().assemble(rows, mobilities, held);
     report.assemble_ns += since(start);
     const auto solving = Clock::now();
     const auto m = static_cast<std::size_t>(rows.size());
@@ -225,7 +229,7 @@ struct Simulation::State {
       if (row.bounds.bilateral_unbounded()) continue;
       states[i] = warm_state(row.key);
     }
-    solver.factor(w, bounds);
+    solver.factor(w, bounds, tissue.compliance().kept());
     last_solve = solver.solve(target, lambda, states);
     // No force is better than one that is no number; it is told as any residual is.
     if (!std::isfinite(last_solve.residual)) {
@@ -465,13 +469,14 @@ struct Simulation::State {
   }
 
   void serialize(Archive& archive) {
-    // Given by the scene: scene_in. Of one step: moving, touching_now, solver, response_builder,
+    // Given by the scene: scene_in. Of one step: moving, touching_now, rows_before, held, solver,
+    // response_builder,
     // mobilities, bounds, target, states, last_solve.
     auto& [scene_in, tissue_, needles_, tools_, threads_, contact_, inputs_, moving_, responses_,
            needle_states_, thread_states_, contact_points_, touching_, touching_now_, events_,
            pending_events_, report_, time, base, period, steps, settled_, inverted_told_, rows_,
-           solver_, response_builder_, mobilities_, bounds_, target_, lambda_, states_, warm_,
-           last_solve_] = *this;
+           rows_before_, held_, solver_, response_builder_, mobilities_, bounds_, target_, lambda_,
+           states_, warm_, last_solve_] = *this;
     archive(tissue_);
     archive.fixed(needles_);
     archive.fixed(tools_);

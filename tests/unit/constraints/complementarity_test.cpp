@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <limits>
 #include <random>
 
@@ -80,6 +81,32 @@ TEST(Complementarity, AWarmStartFromTheSolutionNeedsNoPivot) {
   const SolveReport report = solver.solve(p.q, again, state);
   EXPECT_EQ(report.pivoting_rounds, 0);
   EXPECT_EQ(lambda, again);
+}
+
+TEST(Complementarity, OfAKeptComplianceIsSolvedAsOfANewOne) {
+  std::mt19937_64 random(30);
+  Problem p = random_problem(random, 50, 40, 1e-3);
+  ComplementaritySolver kept;
+  std::vector<double> lambda(50), expected(50);
+  std::vector<RowState> state(50, RowState::kLower);
+  std::normal_distribution<double> normal;
+  for (int step = 0; step < 20; ++step) {
+    // Other targets, from time to time other limits, and once a row that loses its own.
+    for (double& q : p.q) q += 0.1 * normal(random);
+    for (Bounds& b : p.bounds)
+      if (step % 3 == 2 && b.upper_n != kUnbounded) b.upper_n *= 1.1;
+    if (step == 10)
+      *std::find_if(p.bounds.begin(), p.bounds.end(),
+                    [](const Bounds& b) { return !b.bilateral_unbounded(); }) = Bounds::bilateral();
+    std::vector<RowState> state_of_new = state;
+    ComplementaritySolver fresh;
+    fresh.factor(p.w, p.bounds);
+    fresh.solve(p.q, expected, state_of_new);
+    kept.factor(p.w, p.bounds, step > 0);
+    kept.solve(p.q, lambda, state);
+    EXPECT_EQ(lambda, expected) << step;
+    EXPECT_EQ(state, state_of_new) << step;
+  }
 }
 
 TEST(Complementarity, CondensedProblemReproducesTheWhole) {

@@ -86,6 +86,19 @@ TEST_F(ComplianceOfTwoBlocks, MatchesTheDenseInverse) {
   }
 }
 
+TEST_F(ComplianceOfTwoBlocks, KeepsWOfRowsThatAreHeld) {
+  Compliance compliance(factor_);
+  ConstraintRows rows = random_rows(12);
+  for (int i = 0; i < rows.size(); ++i) rows[i].needle = -1;
+  const std::vector<double> w = compliance.assemble(rows, {}, true).value;
+  EXPECT_FALSE(compliance.kept()) << "of which rows?";
+  EXPECT_EQ(compliance.assemble(rows, {}, true).value, w);
+  EXPECT_TRUE(compliance.kept());
+  compliance.clear();
+  EXPECT_EQ(compliance.assemble(rows, {}, true).value, w);
+  EXPECT_FALSE(compliance.kept());
+}
+
 TEST_F(ComplianceOfTwoBlocks, DisplacementsFollowTheForcesAtOneVertexAndAtAll) {
   Compliance compliance(factor_);
   const ConstraintRows rows = random_rows(25);

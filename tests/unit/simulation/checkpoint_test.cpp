@@ -85,19 +85,19 @@ INSTANTIATE_TEST_SUITE_P(Seeds, RandomSurgeon, ::testing::Range<std::uint64_t>(1
 TEST(Checkpoint, AClosureGoesOnToTheBit) {
   testing::ClosureOptions options;
   options.shortening_m = testing::closing_shortening_m(20);
-  options.speed_m_per_s = 30e-3;
+  options.speed_m_per_s = 30e-3;  // closed by step 20 or so: at rest, rows are held
   const scene::Scene scene = testing::closure_scene(options).scene;
   const double dt_s = 1.0 / scene.rate_hz;
   Recording recording;
   Simulation simulation(scene);
-  recording.inputs.resize(60);
+  recording.inputs.resize(120);
   for (std::size_t step = 0; step < recording.inputs.size(); ++step) {
     play_step(simulation, recording, step, dt_s);
     recording.after.push_back(saved(simulation));
   }
   EXPECT_GT(simulation.report().active_unilateral_rows, 10);
   Simulation other(scene);
-  for (std::size_t cut : {7, 33, 50})
+  for (std::size_t cut : {7, 33, 50, 112})
     EXPECT_EQ(first_difference(other, recording, cut, dt_s), recording.inputs.size());
 }
 
