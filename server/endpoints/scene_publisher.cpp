@@ -22,6 +22,8 @@ constexpr std::int64_t kQualityPeriod_ns = 500'000'000;
 constexpr std::int64_t kFaultPeriod_ns = 1'000'000'000;
 constexpr int kCoursePoints = 33;
 constexpr std::size_t kProfilesMax = 64;
+// Devices that may tell of one tool between two beats.
+constexpr int kProfilesAtOnce = 16;
 
 constexpr const char* kNoCheckpoints =
     "this server keeps no checkpoints; start it with --checkpoints DIR";
@@ -51,7 +53,7 @@ ScenePublisher::ScenePublisher(const suture::Participant& control, const suture:
     : served_(std::move(served)),
       claim_(claim),
       events_(control),
-      profiles_(control),
+      profiles_(control, {}, kProfilesAtOnce),
       replies_(control),
       topologies_(mesh),
       frames_(mesh),
@@ -534,7 +536,7 @@ void ScenePublisher::heed_devices() {
         const std::string_view name = suture::text_of(profile.tool);
         for (std::size_t i = 0; i < served_.tools.size(); ++i) {
           if (served_.tools[i].name != name) continue;
-          profiles_told_[i].insert_or_assign(device, device_limits(profile));
+          remember_profile(i, device, device_limits(profile));
           news = true;
         }
       });
@@ -544,13 +546,25 @@ void ScenePublisher::heed_devices() {
     const suture::Guid guid = served_.forces.guid_of_writer(holder);
     if (holder != 0 && guid == suture::kNobody) continue;  // its first pose is still being served
     heeded_[i] = holder;
-    auto& told = profiles_told_[i];
-    const auto found = told.find(guid);
+    const auto& told = profiles_told_[i];
+    const auto found = std::find_if(told.begin(), told.end(),
+                                    [&](const auto& each) { return each.first == guid; });
     served_.tools[i].channel->set_device_limits(found == told.end() ? haptics::DeviceLimits{}
                                                                     : found->second);
-    // Those that left are not missed; a device that comes again tells again.
-    if (told.size() > kProfilesMax) told.clear();
   }
+}
+
+// Keeps what the newest devices told, and what the one told that holds the tool.
+void ScenePublisher::remember_profile(std::size_t tool, const suture::Guid& device,
+                                      const haptics::DeviceLimits& limits) {
+  auto& told = profiles_told_[tool];
+  std::erase_if(told, [&](const auto& each) { return each.first == device; });
+  if (told.size() >= kProfilesMax) {
+    const suture::Guid holder = served_.forces.guid_of_writer(served_.tools[tool].channel->lease());
+    told.erase(std::find_if(told.begin(), told.end(),
+                            [&](const auto& each) { return each.first != holder; }));
+  }
+  told.emplace_back(device, limits);
 }
 
 // ------------------------------------------------------------------ status

@@ -104,6 +104,8 @@ class ScenePublisher {
   void finish_checkpoints();
   void execute(const suture::v1::Command& command, suture::v1::CommandReply& reply);
   void heed_devices();
+  void remember_profile(std::size_t tool, const suture::Guid& device,
+                        const haptics::DeviceLimits& limits);
   void look_for_a_rival();
   void finish_changes();
   void notice(suture_v1_EventKind kind, const std::string& text);
@@ -125,7 +127,8 @@ class ScenePublisher {
   suture::Writer<suture::v1::ContactState> contacts_;
   suture::Writer<suture::v1::Quality> quality_;
 
-  std::vector<std::map<suture::Guid, haptics::DeviceLimits>> profiles_told_;  // per tool
+  // Per tool, the oldest first.
+  std::vector<std::vector<std::pair<suture::Guid, haptics::DeviceLimits>>> profiles_told_;
   std::vector<std::uint64_t> heeded_;  // per tool: the lease whose device's limits hold
   std::vector<Told> told_;
   std::vector<suture::v1::ToolStatus> tool_status_;

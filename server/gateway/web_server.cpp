@@ -22,6 +22,7 @@
 #include <exception>
 #include <filesystem>
 #include <list>
+#include <optional>
 #include <utility>
 
 #include "suture/error.hpp"
@@ -285,10 +286,12 @@ struct WebServer::State {
       co_return;
     }
     beast::ssl_stream<beast::tcp_stream> stream(std::move(socket), *tls);
-    const Ender ender(*this, [&stream] { beast::get_lowest_layer(stream).close(); });
+    std::optional<Ender> ender(std::in_place, *this,
+                               [&stream] { beast::get_lowest_layer(stream).close(); });
     beast::get_lowest_layer(stream).expires_after(options.request_patience);
     auto [error] = co_await stream.async_handshake(asio::ssl::stream_base::server, kAwait);
     if (!error) {
+      ender.reset();  // a TLS stream that was moved from has nothing to close
       co_await serve(std::move(stream));
     } else if (is_plain_http(error)) {
       co_await answer(stream.next_layer(), plain_reply(400, "this port speaks https"), {});
@@ -299,7 +302,8 @@ struct WebServer::State {
   // One connection: requests, until one of them asks for a WebSocket.
   template <class Stream>
   asio::awaitable<void> serve(Stream stream) {
-    const Ender ender(*this, [&stream] { beast::get_lowest_layer(stream).close(); });
+    std::optional<Ender> ender(std::in_place, *this,
+                               [&stream] { beast::get_lowest_layer(stream).close(); });
     beast::flat_buffer buffer(kHeadersMax + 1024);
     while (!stopping) {
       http::request_parser<http::empty_body> parser;
@@ -324,6 +328,7 @@ struct WebServer::State {
           co_await answer(stream, *refusal, request);
           break;
         }
+        ender.reset();
         co_await talk(std::move(stream), request, std::move(std::get<Accepted>(decided)));
         co_return;
       }

@@ -174,19 +174,33 @@ void SimulationLoop::run() noexcept {
   }
 }
 
+Waiting wait_for_hand(const ToolPlace& place, const ToolTarget& target, std::uint64_t epoch,
+                      std::int64_t waited_ns) noexcept {
+  if (target.present && target.epoch == epoch) {
+    // A device's own frame was fitted to the place when its hand came.
+    const auto &a = place.pose.position_m, &b = target.pose.position_m;
+    const double off_m = std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
+    return target.frame == Frame::kWorld && off_m > SimulationLoop::kJoin_m ? Waiting::kJoinsAnew
+                                                                            : Waiting::kJoins;
+  }
+  if (waited_ns < SimulationLoop::kStay_ns) return Waiting::kAtPlace;
+  return target.present ? Waiting::kAway : Waiting::kNobodyComes;
+}
+
 void SimulationLoop::take_input(std::size_t tool, std::int64_t now_ns) {
   ToolTarget& target = targets_[tool] = channels_[tool]->target();
   std::optional<ToolPlace>& place = places_[tool];
   bool lets_go = false;
   if (place) {
-    const bool joined = target.present && target.epoch == epoch();
-    if (!joined && now_ns - placed_ns_ < kStay_ns) {
+    const Waiting waiting = wait_for_hand(*place, target, epoch(), now_ns - placed_ns_);
+    lets_go = waiting == Waiting::kJoinsAnew;
+    if (waiting == Waiting::kAtPlace) {
       target.present = true;
       target.pose = place->pose;
       target.jaw = place->jaw;
+    } else if (waiting == Waiting::kAway) {
+      target.present = false;
     } else {
-      const auto &a = place->pose.position_m, &b = target.pose.position_m;
-      lets_go = joined && std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]) > kJoin_m;
       place.reset();
     }
   }

@@ -57,6 +57,19 @@ struct LoopEvent {
   simulation::Event event;
 };
 
+/// What becomes of a tool that has a place in a world which was put in: see
+/// SimulationLoop::replace_state.
+enum class Waiting : std::uint8_t {
+  kAtPlace,      ///< it stays there
+  kAway,         ///< it is out of the scene: its hand is still where it was in the world before
+  kJoins,        ///< its hand has come, and leads it
+  kJoinsAnew,    ///< its hand has come, from so far off that it lets go first
+  kNobodyComes,  ///< it is out of the scene, and waits no longer
+};
+/// `waited_ns`: since the world was put in, pauses not counted.
+[[nodiscard]] Waiting wait_for_hand(const ToolPlace& place, const ToolTarget& target,
+                                    std::uint64_t epoch, std::int64_t waited_ns) noexcept;
+
 /// Steps a simulation by the clock, on a thread of its own.
 ///
 /// Each period it takes the tools' latest targets, steps, publishes every tool's model,
@@ -106,9 +119,9 @@ class SimulationLoop {
   void reset() noexcept { resets_asked_.fetch_add(1, std::memory_order_relaxed); }
   /// Calls `replace` before the next step, and begins an epoch: what is felt goes to zero and comes
   /// back by a ramp. A tool that the new state has somewhere stays there, with what it holds, until
-  /// its device has engaged from there, for kStay_ns at most. One that a device moves in the world
-  /// itself, and that is then farther off than kJoin_m, lets go. The last one that was given before
-  /// a step counts.
+  /// its device has engaged from there, for kStay_ns at most; then it leaves the scene until that.
+  /// One that a device moves in the world itself, and that is then farther off than kJoin_m, lets
+  /// go. The last one that was given before a step counts.
   void replace_state(Replace replace);
   /// Returns why the last `replace` failed; empty where it did not. Holds from the new epoch on.
   [[nodiscard]] std::string replace_failure() const;

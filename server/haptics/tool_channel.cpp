@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "protocol/pose_check.hpp"
 #include "protocol/virtual_coupling.hpp"
@@ -101,6 +102,10 @@ ToolChannel::ToolChannel(const scene::Tool& tool, std::int64_t model_period_ns)
 
 // A device that was told to let go, and has not opened its jaw since.
 bool ToolChannel::stays_released(const PoseSample& sample, std::int64_t now_ns) noexcept {
+  if (std::exchange(released_heard_, sample.writer) != sample.writer) {
+    released_jaw_closed_ = false;
+    released_heard_ns_ = 0;
+  }
   const std::int64_t heard_ns =
       std::max(released_heard_ns_, last_arrival_ns_.load(std::memory_order_relaxed));
   const bool anew = sample.goodbye || now_ns - heard_ns > kLeaseSilence_ns;
@@ -189,10 +194,18 @@ void ToolChannel::on_rendered(const RenderedSample& sample, std::int64_t now_ns)
       fault_bit(Fault::kModelStale) | fault_bit(Fault::kModelNotFinite) |
       fault_bit(Fault::kModelPivots) | fault_bit(Fault::kForceLimit) |
       fault_bit(Fault::kSlewLimit) | fault_bit(Fault::kEnergy);
-  const std::uint32_t begun = sample.faults & ~rendered_faults_ & kOnlyThere;
+  // In a pause no models come, and that is no fault; nor is it until the next one is there.
+  constexpr std::uint32_t kStale = fault_bit(Fault::kModelStale);
+  if (paused_.load(std::memory_order_relaxed)) {
+    rendered_in_pause_ = true;
+  } else if ((sample.faults & kStale) == 0) {
+    rendered_in_pause_ = false;
+  }
+  const std::uint32_t told = rendered_in_pause_ ? sample.faults & ~kStale : sample.faults;
+  const std::uint32_t begun = told & ~rendered_faults_ & kOnlyThere;
   for (int i = 0; i < kFaultCount; ++i)
     if ((begun >> i & 1U) != 0) count(counters_.faults[i]);
-  rendered_faults_ = sample.faults;
+  rendered_faults_ = told;
   rendered_.publish({sample, now_ns});
 }
 
@@ -210,7 +223,6 @@ std::optional<ForceSample> ToolChannel::supervise(std::int64_t now_ns) noexcept 
     if (!supervised_) count(counters_.takeovers);
     supervised_ = true;
     force = render(now_ns, true);
-    if (stage_ == Stage::kIdle) publish_target();
   }
   let_go();
   // A pose may have been put aside since; the newer answer replaces ours.
@@ -371,9 +383,12 @@ void ToolChannel::accept(const PoseSample& sample, std::int64_t now_ns) noexcept
   if (sample.frame != frame_ && stage_ == Stage::kSettling) workspace_.reset();
   device_pose_ = sample.pose;
   good_ns_ = now_ns;
-  has_previous_ = true;
+  const bool first = !std::exchange(has_previous_, true);
 
-  const bool clutch = sample.frame == Frame::kDevice && (sample.buttons & clutch_mask_) != 0;
+  // During a pause, too, a hand may move away: the tool is where it was when the world goes on.
+  const bool clutch =
+      sample.frame == Frame::kDevice &&
+      ((sample.buttons & clutch_mask_) != 0 || (!first && paused_.load(std::memory_order_acquire)));
   if (clutch && !clutched_) begin_fading(now_ns);
   if (stage_ == Stage::kFading) {
     // The tool stays where it is until the hand feels nothing.
@@ -444,6 +459,7 @@ void ToolChannel::leave_or_stay(std::int64_t now_ns) noexcept {
     stage_ = Stage::kIdle;
     writer_ = 0;
     latched_ = 0;
+    publish_target();
     return;
   }
   const StampedModel& current = models_.front();
@@ -545,9 +561,11 @@ void ToolChannel::observe_energy(const suture::Wrench& world, const suture::Wren
 // Of a device that has left no pose is missed.
 void ToolChannel::look_for_staleness(std::int64_t now_ns) noexcept {
   const bool pose_stale = lease() == writer_ && now_ns - good_ns_ > pose_stale_after_ns();
-  const bool model_stale = has_model_ &&
-                           now_ns - models_.front().published_ns > model_stale_after_ns_ &&
-                           !paused_.load(std::memory_order_relaxed);
+  // After a pause the next model has its time, too.
+  if (paused_.load(std::memory_order_relaxed)) paused_ns_ = now_ns;
+  const bool model_stale =
+      has_model_ &&
+      now_ns - std::max(models_.front().published_ns, paused_ns_) > model_stale_after_ns_;
   if (pose_stale) latched_ |= fault_bit(Fault::kPoseStale);
   if (model_stale) latched_ |= fault_bit(Fault::kModelStale);
   note_while(Fault::kPoseStale, pose_stale_.update(pose_stale, now_ns));

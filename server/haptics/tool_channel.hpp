@@ -368,9 +368,11 @@ class ToolChannel {
   std::uint64_t admitted_writer_ = 0, admitted_sequence_ = 0;
   std::int64_t due_ns_ = 0;
   bool was_refused_ = false;
-  bool released_jaw_closed_ = false;    // since its device was told to let go
-  std::int64_t released_heard_ns_ = 0;  // when that device last sent a pose
+  std::uint64_t released_heard_ = 0;    // the writer of the device that was told to let go,
+  bool released_jaw_closed_ = false;    // whether its jaw was closed since,
+  std::int64_t released_heard_ns_ = 0;  // and when it last sent a pose
   std::uint32_t rendered_faults_ = 0;   // the device's last
+  bool rendered_in_pause_ = false;      // it has had no model since a pause
 
   // Holder of the token only.
   Workspace workspace_;
@@ -393,6 +395,7 @@ class ToolChannel {
   bool supervised_ = false;         // the last tick was the supervisor's
   std::int64_t good_ns_ = 0;        // when the last good pose came
   std::int64_t good_since_ns_ = 0;  // when the run of good poses began
+  std::int64_t paused_ns_ = 0;      // the last tick within a pause
   std::int64_t fade_since_ns_ = 0;
   std::int64_t rendered_ns_ = 0;
   std::uint64_t epoch_ = 0;

@@ -102,6 +102,16 @@ describe("the door to other machines", { timeout: 240_000 }, () => {
     await eyes.first("suture/mesh/frame");
     eyes.close();
   });
+
+  it("ends as it should beside connections that stay open", async () => {
+    const agent = new https.Agent({ keepAlive: true });
+    await get(server.url + "healthz", { ca: ours, agent });
+    const eyes = await Connection.open(server.socket + "?token=look", "foxglove.sdk.v1", { ca: ours });
+    await eyes.first("suture/mesh/frame");
+    assert.equal(await server.end(), 0);
+    agent.destroy();
+    server = undefined;
+  });
 });
 
 describe("a door that cannot open", { timeout: 120_000 }, () => {

@@ -184,6 +184,7 @@ struct Device::State {
   std::int64_t last_ns = 0;  // when
   SwapBlend handover;        // from one renderer to the other
   bool handing_over = false;
+  std::int64_t stop_since_ns = 0;  // the last call without a stop
   std::int64_t rendered_told_ns = 0;
   v1::ToolRendered rendered{};
   bool stop_asked = false;   // by a hand, and not yet confirmed by the server
@@ -466,13 +467,13 @@ std::uint64_t Device::write(const Hand& hand) noexcept {
 void Device::set_render(Render render) {
   State& state = *state_;
   if (render == state.wanted) return;
-  state.wanted = render;
   if (render == Render::kDevice) {
     state.listen_to_models();
   } else {
     state.model_reader = {};
     state.pose_reader = {};
   }
+  state.wanted = render;
 }
 
 Render Device::renders() const noexcept { return state_->shown_by; }
@@ -490,6 +491,9 @@ Force Device::State::feel(const Hand& from, std::int64_t taken_ns, std::int64_t 
   const Arrival& newest = arrivals.latest();
   if (from.stop) stop_asked = true;
   if (newest.force.state == ForceState::kStopped && !from.stop) stop_asked = false;
+  if (!stop_asked) stop_since_ns = now_ns;
+  // Who asked for no force so long was shown none.
+  if (now_ns - last_ns > kHandoverNs) last = {};
   const Force answer = guard.show(newest.force, newest.at_ns, stop_asked, now_ns);
   const Force force = handed_over(shown(answer, from, taken_ns, now_ns), now_ns);
   if (shown_by == Render::kDevice) tell_rendered(force, now_ns);
@@ -523,10 +527,19 @@ Force Device::State::shown(const Force& answer, const Hand& from, std::int64_t t
   return own;
 }
 
-// Takes the step out of a change of renderer: the difference fades, within the slew limit.
+// Takes the step out of a change of renderer: the difference fades, within the slew limit, and
+// under a stop as soon as any force.
 Force Device::State::handed_over(const Force& force, std::int64_t now_ns) noexcept {
   if (!handing_over) return force;
-  const Wrench eased_to = handover.apply({force.force_n, force.torque_nm}, now_ns);
+  Wrench eased_to = handover.apply({force.force_n, force.torque_nm}, now_ns);
+  const double left = std::max(0.0, 1.0 - static_cast<double>(now_ns - stop_since_ns) /
+                                              static_cast<double>(ForceGuard::kFadeNs));
+  const double kept = left * left * (3.0 - 2.0 * left);
+  for (std::size_t i = 0; i < 3; ++i) {
+    eased_to.force_n[i] = force.force_n[i] + kept * (eased_to.force_n[i] - force.force_n[i]);
+    eased_to.torque_nm[i] =
+        force.torque_nm[i] + kept * (eased_to.torque_nm[i] - force.torque_nm[i]);
+  }
   const ForceLimits& limits = renderer->current().limits;
   bool limited = false, slewed = false;
   const Wrench eased =

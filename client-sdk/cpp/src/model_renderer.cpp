@@ -83,7 +83,7 @@ Pose to_world(const v1::Mapping& mapping, const Hand& hand) noexcept {
 }
 
 bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const DeviceLimits& device,
-                   ReceivedModel& received) noexcept {
+                   ReceivedModel& received, bool in_world) noexcept {
   const std::size_t rows = wire.offset_m._length;
   if (rows > kModelRowsMax || wire.compliance_m_per_n._length != rows * (rows + 1) / 2 ||
       wire.jacobian._length != 6 * rows || wire.multiplier_n._length != rows ||
@@ -165,8 +165,9 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
                   wire.max_torque_slew_nm_per_s},
                  {device.max_force_n, device.max_torque_nm, device.max_force_slew_n_per_s, 0.0}),
       std::min(received.ramp_ns, received.zero_after_ns - received.stale_after_ns));
-  couple_model(
-      model, device.max_stiffness_n_per_m / (wire.mapping.force_scale * wire.mapping.motion_scale));
+  const double tool_stiffness =
+      in_world ? 1.0 : wire.mapping.force_scale * wire.mapping.motion_scale;
+  couple_model(model, device.max_stiffness_n_per_m / tool_stiffness);
   received.engaged = (wire.flags & suture_v1_MODEL_ENGAGED) != 0;
   received.stopped = (wire.flags & suture_v1_MODEL_STOPPED) != 0;
   received.arrived_ns = arrived_ns;
@@ -174,7 +175,9 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
 }
 
 void ModelRenderer::receive(const v1::HapticModel& wire, std::int64_t now_ns) noexcept {
-  if (receive_model(wire, now_ns, device_, models_.back())) models_.publish();
+  if (receive_model(wire, now_ns, device_, models_.back(),
+                    in_world_.load(std::memory_order_relaxed)))
+    models_.publish();
 }
 
 // Looks at a hand before anything follows it.
@@ -213,6 +216,7 @@ void ModelRenderer::heed(const Hand& hand, std::int64_t taken_ns) noexcept {
   if (has_previous_ && taken_ns - good_ns_ >= hand_stale_ns_ + kHandFadeNs)
     good_since_ns_ = taken_ns;  // was gone
   previous_ = hand;
+  in_world_.store(hand.in_world, std::memory_order_relaxed);
   good_ns_ = taken_ns;
   has_previous_ = true;
 }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <atomic>
 #include <cstdint>
 #include <optional>
 
@@ -35,9 +36,10 @@ struct ReceivedModel {
 /// Fills `received` from the wire; false, with `received` in an unspecified state, where
 /// sizes do not fit together or the reference is no pose. The model is coupled to what `device`
 /// renders stably (protocol/virtual_coupling.hpp) and the limits are the smaller ones of tool
-/// and device. Allocates nothing.
+/// and device. A hand that is `in_world` is not scaled, nor is what it feels. Allocates nothing.
 [[nodiscard]] bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns,
-                                 const DeviceLimits& device, ReceivedModel& received) noexcept;
+                                 const DeviceLimits& device, ReceivedModel& received,
+                                 bool in_world = false) noexcept;
 
 /// Renders a tool's force on the device's own machine, from the server's last model and
 /// with no network in the loop.
@@ -95,6 +97,7 @@ class ModelRenderer {
   double max_speed_m_per_s_;
   std::int64_t hand_stale_ns_;
   Snapshot<ReceivedModel> models_;
+  std::atomic<bool> in_world_{false};  // the hand, for the thread that receives
   OtherTools others_;
 
   // The renderer's.

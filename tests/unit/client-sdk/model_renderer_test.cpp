@@ -218,6 +218,20 @@ TEST_F(ModelRendererTest, KeepsFrictionInTheConeOfItsNormalForce) {
   EXPECT_NEAR(force.force_n[0], -1.0, 1e-9);
 }
 
+TEST(ReceivedModel, IsCoupledToWhatTheHandFeelsOfIt) {
+  const DeviceLimits device{.max_stiffness_n_per_m = 50.0};
+  const auto stiffness_of = [&](double motion_scale, bool in_world) {
+    v1::HapticModel wire = spring_model(100.0);
+    wire.mapping.motion_scale = motion_scale;
+    const auto received = std::make_unique<ReceivedModel>();
+    EXPECT_TRUE(receive_model(wire, 1, device, *received, in_world));
+    return received->model.bilateral_stiffness[0];
+  };
+  const double whole = stiffness_of(1.0, false);
+  EXPECT_GT(stiffness_of(0.5, false), 1.2 * whole) << "a hand that is scaled down feels half of it";
+  EXPECT_EQ(stiffness_of(0.5, true), whole) << "one that is in the world, all of it";
+}
+
 TEST_F(ModelRendererTest, DropsModelsWhoseBoundsFollowNothing) {
   const auto received = std::make_unique<ReceivedModel>();
   RoughWall wall;

@@ -135,6 +135,21 @@ TEST(ToolChannel, GivesAToolThatWasReleasedToAnotherDevice) {
   EXPECT_EQ(rig.last.state, ToolState::kRendering);
 }
 
+TEST(ToolChannel, KeepsAReleaseWhoeverWasReleasedBefore) {
+  Rig rig;
+  rig.jaw = 1.0;
+  rig.engage();
+  ASSERT_TRUE(rig.channel().release());
+  rig.run(100);
+  rig.writer = 8;
+  rig.jaw = 0.0;
+  rig.run(300);
+  ASSERT_EQ(rig.channel().lease(), 8U);
+  ASSERT_TRUE(rig.channel().release());
+  rig.run(500);
+  EXPECT_EQ(rig.channel().lease(), 0U) << "the jaw that was closed is another's";
+}
+
 TEST(ToolChannel, StopsForTheButtonAtTheDevice) {
   Rig rig;
   rig.engage();
@@ -157,9 +172,54 @@ TEST(ToolChannel, IsSilentWhileTheSimulationIsPaused) {
   EXPECT_EQ(rig.last.state, ToolState::kPaused);
   EXPECT_EQ(rig.faults(Fault::kModelStale), 0U) << "a pause is no fault";
   rig.channel().set_paused(false);
+  rig.run(3);
+  EXPECT_EQ(rig.faults(Fault::kModelStale), 0U) << "the first step after it has its time";
   rig.steps = true;
   rig.run(400);
   EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
+  EXPECT_EQ(rig.faults(Fault::kModelStale), 0U);
+  EXPECT_EQ(rig.last.faults, 0U);
+}
+
+TEST(ToolChannel, KeepsAToolWhereItIsWhileAHandRestsElsewhereInAPause) {
+  Rig rig;
+  rig.engage();
+  const suture::Pose place = rig.channel().target().pose;
+  rig.channel().set_paused(true);
+  rig.steps = false;
+  for (int i = 0; i < 100; ++i) {
+    rig.hand.position_m[1] += 1e-3;
+    rig.run(1);
+  }
+  rig.channel().set_paused(false);
+  rig.steps = true;
+  rig.run(300);
+  EXPECT_EQ(rig.last.state, ToolState::kRendering);
+  EXPECT_NEAR(rig.channel().target().pose.position_m[1], place.position_m[1], 1e-12);
+  rig.hand.position_m[1] += 1e-3;
+  rig.run(5);
+  EXPECT_NEAR(rig.channel().target().pose.position_m[1], place.position_m[1] + 1e-3, 1e-12);
+}
+
+TEST(ToolChannel, CallsNoPauseAFaultOfADeviceThatRendersItself) {
+  Rig rig;
+  rig.engage();
+  const auto shows = [&](std::uint32_t faults) {
+    RenderedSample sample;
+    sample.faults = faults;
+    rig.channel().on_rendered(sample, rig.now);
+    rig.run(5);
+  };
+  constexpr std::uint32_t kStale = fault_bit(Fault::kModelStale);
+  shows(0);
+  rig.channel().set_paused(true);
+  shows(kStale);
+  rig.channel().set_paused(false);
+  shows(kStale);
+  EXPECT_EQ(rig.faults(Fault::kModelStale), 0U) << "the next model is on its way";
+  shows(0);
+  shows(kStale);
+  EXPECT_EQ(rig.faults(Fault::kModelStale), 1U);
 }
 
 TEST(ToolChannel, StartsAgainFromZeroAfterAReset) {
