@@ -9,6 +9,8 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <ctime>
 #include <fstream>
@@ -147,13 +149,38 @@ std::vector<std::string> revoked_serials(const std::vector<Entry>& entries) {
   return serials;
 }
 
-// Puts the folder `made` in the place of `folder`, at once.
-void put_in_place(const fs::path& made, const fs::path& folder) {
-  if (::renameat2(AT_FDCWD, made.c_str(), AT_FDCWD, folder.c_str(),
-                  fs::exists(folder) ? RENAME_EXCHANGE : RENAME_NOREPLACE) != 0)
-    cannot("putting in place", folder);
-  fs::remove_all(made);  // what stood there before, or nothing
-}
+// A folder of our own beside `place`, to be filled and put there; else it goes again. Its name is
+// new, and no identity's: those do not begin with a '.'.
+class FolderBeside {
+ public:
+  explicit FolderBeside(fs::path place) : place_(std::move(place)) {
+    std::string name = place_.parent_path() / ("." + place_.filename().string() + ".XXXXXX");
+    if (::mkdtemp(name.data()) == nullptr) cannot("making", place_);
+    made_ = name;
+  }
+  ~FolderBeside() {
+    std::error_code ignored;
+    if (!made_.empty()) fs::remove_all(made_, ignored);
+  }
+  FolderBeside(const FolderBeside&) = delete;
+  FolderBeside& operator=(const FolderBeside&) = delete;
+
+  [[nodiscard]] fs::path operator/(const char* file) const { return made_ / file; }
+  // Puts it in the place of nothing, or of an empty folder.
+  void put_in_place() {
+    if (::rename(made_.c_str(), place_.c_str()) != 0) cannot("putting in place", place_);
+    made_.clear();
+  }
+  // Puts it in the place of what is there, at once, which then goes.
+  void replace() {
+    if (!fs::exists(place_)) return put_in_place();
+    if (::renameat2(AT_FDCWD, made_.c_str(), AT_FDCWD, place_.c_str(), RENAME_EXCHANGE) != 0)
+      cannot("putting in place", place_);
+  }
+
+ private:
+  fs::path place_, made_;
+};
 
 }  // namespace
 
@@ -175,23 +202,20 @@ void Site::create(const fs::path& folder, const std::string& title, int days,
   if (title.empty() || title.size() > 40 ||
       title.find_first_of(",/|=+\"\\<>;#&") != std::string::npos)
     refuse("\"" + title + "\" names no site", "take 1 to 40 letters, digits, spaces, '-' and '_'");
-  if (fs::exists(folder)) {
-    if (!fs::is_directory(folder) || !fs::is_empty(folder))
-      refuse(folder.string() + " exists and is not empty", "name a new folder for the site");
-    fs::remove(folder);
-  }
+  if (fs::exists(folder) && (!fs::is_directory(folder) || !fs::is_empty(folder)))
+    refuse(folder.string() + " exists and is not empty", "name a new folder for the site");
+  fs::path place = fs::weakly_canonical(folder);
+  if (!place.has_filename()) place = place.parent_path();  // of "name/"
   const std::int64_t now = std::time(nullptr);
   const KeyPair authority = make_authority(title, now, days);
-  const fs::path made = folder.string() + ".new";
-  fs::remove_all(made);
-  make_folder(made);
+  FolderBeside made(place);
   make_folder(made / kIdentities);
   write_file(made / kAuthorityKey, authority.key, 0600);
   write_file(made / key_files::kAuthority, authority.certificate, 0644);
   write_file(made / key_files::kGovernance, sign(authority, governance_xml(protection)), 0644);
   write_file(made / key_files::kRevoked, revocation_list(authority, {}, now), 0644);
   write_file(made / kRegister, "[]\n", 0600);
-  put_in_place(made, folder);
+  made.put_in_place();
 }
 
 Site::Site(const fs::path& folder) : folder_(folder) {
@@ -266,9 +290,7 @@ fs::path Site::issue(Entry& which, std::int64_t seconds) {
   save();
   const KeyPair pair = certify(authority, which.name, which.serials.back(), now, which.expires_s);
   const fs::path folder = folder_of(which.name);
-  const fs::path made = folder.string() + ".new";
-  fs::remove_all(made);
-  make_folder(made);
+  FolderBeside made(folder);
   write_file(made / key_files::kAuthority, authority.certificate, 0644);
   write_file(made / key_files::kCertificate, pair.certificate, 0644);
   write_file(made / key_files::kKey, pair.key, 0600);
@@ -278,7 +300,7 @@ fs::path Site::issue(Entry& which, std::int64_t seconds) {
                                              which.expires_s)),
              0644);
   write_file(made / key_files::kRevoked, read_file(folder_ / key_files::kRevoked), 0644);
-  put_in_place(made, folder);
+  made.replace();
   return folder;
 }
 

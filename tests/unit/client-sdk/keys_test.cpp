@@ -122,6 +122,33 @@ TEST_F(Keys, RenewingGivesANewKeyAndTheSameRights) {
   EXPECT_GT(read_identity(folder).expires_s, std::time(nullptr) + kDay_s);
 }
 
+TEST_F(Keys, NobodyElsesFolderIsRemoved) {
+  const fs::path other = add("left.new", device("probe"));
+  add("left", device("driver"));
+  Site(site_).renew("left", kDay_s);
+  EXPECT_EQ(fault_in(other), "");
+  const std::string next = folder_.path("next");
+  fs::create_directory(next + ".new");
+  std::ofstream(next + ".new/notes") << "mine";
+  Site::create(next, "ward 8", 3650, Protection::kSign);
+  EXPECT_EQ(read_file(next + ".new/notes"), "mine");
+  for (const fs::path& folder : {fs::path(folder_.path("")), fs::path(site_) / "identities"})
+    for (const auto& entry : fs::directory_iterator(folder))
+      EXPECT_NE(entry.path().filename().string().front(), '.') << entry.path();
+}
+
+TEST_F(Keys, ASiteIsMadeInANewOrAnEmptyFolder) {
+  const std::string tab = folder_.path("tab");
+  Site::create(tab + "/", "tab", 3650, Protection::kSign);
+  EXPECT_TRUE(Site(tab + "/").entries().empty());
+  const std::string empty = folder_.path("empty");
+  fs::create_directory(empty);
+  Site::create(empty + "//", "empty", 3650, Protection::kSign);
+  EXPECT_TRUE(Site(empty).entries().empty());
+  EXPECT_THAT(fault_of([&] { Site::create(empty, "again", 3650, Protection::kSign); }),
+              HasSubstr("not empty"));
+}
+
 TEST_F(Keys, RevokingWithdrawsEveryCertificateOfAName) {
   const fs::path folder = add("left", device("driver"));
   fs::copy(folder, folder_.path("first"));
