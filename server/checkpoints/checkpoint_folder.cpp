@@ -9,6 +9,7 @@
 #include <array>
 #include <cerrno>
 #include <charconv>
+#include <cmath>
 #include <cstdio>
 #include <fstream>
 #include <limits>
@@ -34,6 +35,12 @@ std::optional<std::uint64_t> sequence_of(const std::string& file) {
   if (file.size() < kSecond.size() + kEnding.size()) return std::nullopt;
   return number_in(
       std::string_view(file).substr(kSecond.size(), file.size() - kSecond.size() - kEnding.size()));
+}
+
+// Whether a write that a crash cut off left it here. Others' files are none of ours.
+bool is_cut_off(const std::string& file) {
+  return (file.starts_with(kSecond) || file.starts_with(kNamed)) &&
+         file.ends_with(std::string(kEnding) + suture::WholeFile::kSuffix);
 }
 
 [[noreturn]] void fail(const std::filesystem::path& folder, const std::string& what,
@@ -88,7 +95,7 @@ std::filesystem::path CheckpointFolder::path_of(const std::string& name) const {
 void CheckpointFolder::read_folder() {
   for (const auto& entry : std::filesystem::directory_iterator(options_.folder)) {
     const std::string name = entry.path().filename().string();
-    if (name.ends_with(suture::WholeFile::kSuffix)) {  // of a write that a crash cut off
+    if (is_cut_off(name)) {
       std::error_code ignored;
       std::filesystem::remove(entry.path(), ignored);
       continue;
@@ -165,10 +172,14 @@ std::optional<CheckpointFolder::Found> CheckpointFolder::newest() {
 CheckpointFolder::Found CheckpointFolder::in_the_past_of(std::uint64_t sequence, double time_s) {
   const std::lock_guard lock(mutex_);
   std::vector<std::string> refused;
+  double young_s = std::numeric_limits<double>::infinity();
   for (auto known = known_.find(sequence); known != known_.end();
        known = known_.find(known->second.previous)) {
+    if (!std::isnan(known->second.time_s)) young_s = known->second.time_s;
     const auto before = known_.find(known->second.previous);
-    const bool last = before == known_.end() || before->first >= known->first;
+    // What has a later time is of the world before a reset.
+    const bool last =
+        before == known_.end() || before->first >= known->first || before->second.time_s > young_s;
     if (known->second.time_s <= time_s || last) {
       try {
         return Found{read_checkpoint(path_of(known->first), identity_), refused};
@@ -185,8 +196,10 @@ CheckpointFolder::Found CheckpointFolder::in_the_past_of(std::uint64_t sequence,
 Checkpoint CheckpointFolder::named(const std::string& name) const {
   const std::filesystem::path path = path_of(name);
   const std::lock_guard lock(mutex_);
-  if (!std::filesystem::exists(path))
-    throw CheckpointError("there is no checkpoint \"" + name + "\"");
+  std::error_code failed;
+  if (!std::filesystem::exists(path, failed))
+    throw CheckpointError("there is no checkpoint \"" + name + "\"" +
+                          (failed ? ": " + failed.message() : ""));
   return read_checkpoint(path, identity_);
 }
 

@@ -47,10 +47,20 @@ CheckpointKeeper::~CheckpointKeeper() {
 
 // ------------------------------------------------------------------ simulation's thread
 
+void CheckpointKeeper::begin_world(std::uint64_t past, double time_s) {
+  world_ = {world_.number + 1, past};
+  copied_ = false;
+  seen_at_s_ = time_s;
+  present_past_.store(past);
+  present_.store(world_.number);
+}
+
 void CheckpointKeeper::offer(simulation::Simulation& simulation, simulation::QualityMeter* quality,
                              std::int64_t now_ns) {
+  if (simulation.time_s() < seen_at_s_) begin_world(0, 0.0);  // somebody reset it
+  seen_at_s_ = simulation.time_s();
   time_s_.store(simulation.time_s(), std::memory_order_relaxed);
-  const bool due = now_ns >= due_ns_ && (simulation.time_s() != copied_at_s_ || put_in_);
+  const bool due = now_ns >= due_ns_ && (simulation.time_s() != copied_at_s_ || !copied_);
   const bool asked = asked_.load(std::memory_order_relaxed);
   if (!due && !asked) return;
   if (spare_ == nullptr && !free_.pop(spare_)) return;  // the next step will find one
@@ -69,12 +79,12 @@ void CheckpointKeeper::offer(simulation::Simulation& simulation, simulation::Qua
   copy->name = name;
   copy->info.time_s = simulation.time_s();
   copy->info.stamp_ns = suture::wall_clock_ns();
-  copy->past = put_in_;
+  copy->world = world_;
   copy->state.clear();
   Archive archive = Archive::writing(copy->state, Archive::Caches::kLeftOut);
   archive_served(archive, simulation, quality);
   if (name.empty()) {
-    put_in_.reset();
+    copied_ = true;
     due_ns_ = now_ns < std::numeric_limits<std::int64_t>::max() - options_.period_ns
                   ? now_ns + options_.period_ns
                   : now_ns;
@@ -107,14 +117,16 @@ void CheckpointKeeper::run() noexcept {
 }
 
 void CheckpointKeeper::write(Copy& copy) {
-  copy.info.previous = copy.past ? *copy.past : past_.load();
+  copy.info.previous =
+      written_world_.load() == copy.world.number ? written_.load() : copy.world.past;
   try {
     if (!copy.name.empty()) {
       folder_.write(copy.name, copy.info, copy.state);
       say({copy.name, true, "\"" + copy.name + "\" at " + in_seconds(copy.info.time_s)});
       return;
     }
-    past_.store(folder_.write(copy.info, copy.state));
+    written_.store(folder_.write(copy.info, copy.state));
+    written_world_.store(copy.world.number);
     if (failing_) say({"", true, "checkpoints are written again"});
     failing_ = false;
   } catch (const std::exception& error) {
@@ -162,9 +174,10 @@ CheckpointKeeper::Change CheckpointKeeper::change_to(Checkpoint checkpoint, std:
     } catch (const ArchiveError&) {
       simulation.reset();
       if (quality != nullptr) quality->reset();
+      begin_world(0, simulation.time_s());
       throw;
     }
-    put_in_ = past;
+    begin_world(past, simulation.time_s());
     due_ns_ = 0;
   };
   return change;
@@ -176,13 +189,17 @@ std::optional<CheckpointKeeper::Change> CheckpointKeeper::resume(bool crash_only
   if (!found) return std::nullopt;
   const std::uint64_t sequence = found->checkpoint.info.sequence;
   folder_.note_resumed(sequence);
-  past_.store(sequence);
   return change_to(std::move(found->checkpoint), sequence, std::move(found->refused));
 }
 
 CheckpointKeeper::Change CheckpointKeeper::back_by(double seconds) {
   const double now_s = time_s_.load(std::memory_order_relaxed);
-  CheckpointFolder::Found found = folder_.in_the_past_of(past_.load(), now_s - seconds);
+  const std::uint64_t present = present_.load();
+  const std::uint64_t past =
+      written_world_.load() == present ? written_.load() : present_past_.load();
+  if (past == 0 && present != 0)
+    throw CheckpointError("there is nothing to rewind to yet, just after a reset");
+  CheckpointFolder::Found found = folder_.in_the_past_of(past, now_s - seconds);
   const double then_s = found.checkpoint.info.time_s;
   const std::uint64_t sequence = found.checkpoint.info.sequence;
   Change change = change_to(std::move(found.checkpoint), sequence, std::move(found.refused));

@@ -52,8 +52,8 @@ class CheckpointKeeper {
   /// Returns the newest checkpoint; `refused` are then those that are newer and damaged. None where
   /// there is none, or (`crash_only`) the last server ended as asked. Before the first `offer`.
   [[nodiscard]] std::optional<Change> resume(bool crash_only);
-  /// Returns the state of `seconds` (simulated) ago, or the oldest there is. Throws
-  /// CheckpointError.
+  /// Returns the state of `seconds` (simulated) ago, or the oldest there is since the last reset.
+  /// Throws CheckpointError.
   [[nodiscard]] Change back_by(double seconds);
   /// Returns the state that was named so. Throws CheckpointError.
   [[nodiscard]] Change to(const std::string& name);
@@ -84,15 +84,21 @@ class CheckpointKeeper {
   }
 
  private:
+  /// What goes on from one state that was put in, or from the start or a reset.
+  struct World {
+    std::uint64_t number = 0;
+    std::uint64_t past = 0;  ///< the checkpoint that it began with; 0: none, a start or a reset
+  };
   struct Copy {
     CheckpointInfo info;
     std::vector<std::byte> state;
-    std::string name;                   ///< empty: of the second
-    std::optional<std::uint64_t> past;  ///< where the state came from, if it was put in
+    std::string name;  ///< empty: of the second
+    World world;
   };
 
   [[nodiscard]] Change change_to(Checkpoint checkpoint, std::uint64_t past,
                                  std::vector<std::string> refused);
+  void begin_world(std::uint64_t past, double time_s);
   void run() noexcept;
   void write(Copy& copy);
   void say(Word word);
@@ -110,11 +116,13 @@ class CheckpointKeeper {
 
   // Simulation's thread.
   std::int64_t due_ns_ = 0;
-  double copied_at_s_ = -1.0;
-  std::optional<std::uint64_t> put_in_;
+  double copied_at_s_ = -1.0, seen_at_s_ = 0.0;
+  World world_;
+  bool copied_ = true;  ///< something of this world; the first one begins on time
   Copy* spare_ = nullptr;
 
-  std::atomic<std::uint64_t> past_{0};  ///< the last one written in the present's past
+  // Which world is the present one; the checkpoint written last, and its world.
+  std::atomic<std::uint64_t> present_{0}, present_past_{0}, written_{0}, written_world_{0};
   std::atomic<double> time_s_{0.0};
   std::atomic<std::int64_t> copy_ns_{0};
   std::atomic<std::size_t> copy_bytes_{0};

@@ -431,7 +431,7 @@ void ScenePublisher::change_world(const suture::v1::Command& command,
     for (const std::string& line : change.refused) notice(suture_v1_EVENT_NOTICE, line);
     changes_.push_back({reply, epoch, suture_v1_EVENT_REWOUND, change.text});
     served_.loop.replace_state(std::move(change.apply));
-  } catch (const checkpoints::CheckpointError& error) {
+  } catch (const std::exception& error) {
     refuse(error.what());
   }
 }

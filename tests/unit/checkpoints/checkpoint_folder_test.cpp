@@ -97,6 +97,44 @@ TEST_F(Folder, GoesBackInTheOwnPastAfterARewind) {
   EXPECT_THROW((void)folder->in_the_past_of(99, 1.0), CheckpointError);
 }
 
+/// What an earlier build wrote just after a reset names the abandoned world as its past.
+TEST_F(Folder, GoesNotBackBeyondAReset) {
+  auto folder = open();
+  write_seconds(*folder, 4);
+  write(*folder, 0.5, 4);  // 5: the first one after a reset
+  write(*folder, 1.5, 5);  // 6
+  EXPECT_EQ(sequence_of(folder->in_the_past_of(6, 0.7)), 5U);
+  EXPECT_EQ(sequence_of(folder->in_the_past_of(6, -9.0)), 5U);
+  damage(5);
+  EXPECT_THROW((void)folder->in_the_past_of(6, 0.7), CheckpointError);
+}
+
+TEST_F(Folder, DeletesWhatACrashCutOffAndNobodyElsesFiles) {
+  open().reset();
+  for (const char* name : {"second.0000000007.checkpoint.part", "named.knot.checkpoint.part",
+                           "film.mkv.part", "second.part", "x.checkpoint.part"})
+    std::ofstream(path_ + "/" + name) << "half";
+  open().reset();
+  EXPECT_FALSE(std::filesystem::exists(path_ + "/second.0000000007.checkpoint.part"));
+  EXPECT_FALSE(std::filesystem::exists(path_ + "/named.knot.checkpoint.part"));
+  EXPECT_TRUE(std::filesystem::exists(path_ + "/film.mkv.part"));
+  EXPECT_TRUE(std::filesystem::exists(path_ + "/second.part"));
+  EXPECT_TRUE(std::filesystem::exists(path_ + "/x.checkpoint.part"));
+}
+
+/// Where the folder is gone the server goes on, and refuses.
+TEST_F(Folder, AFolderThatCannotBeReadHoldsNoName) {
+  const auto folder = open();
+  std::filesystem::rename(path_, path_ + ".aside");
+  std::filesystem::create_symlink(path_, path_);  // stat fails: too many links
+  try {
+    (void)folder->named("knot");
+    FAIL() << "found";
+  } catch (const CheckpointError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("there is no checkpoint \"knot\": "));
+  }
+}
+
 TEST_F(Folder, KnowsHowTheLastServerEnded) {
   auto folder = open();
   EXPECT_TRUE(folder->ended());  // there was none
