@@ -67,6 +67,11 @@ std::vector<LooseComponent> loose_components(const geometry::TetMesh& mesh,
     for (std::int32_t part = 0; part < parts.count; ++part)
       if (component_of_part[static_cast<std::size_t>(part)] == c)
         block.emplace(part, 6 * static_cast<Eigen::Index>(block.size()));
+    const int part_count = static_cast<int>(block.size());
+    if (part_count > kRigidPartsMax) {
+      loose.push_back({c, count, box.center(), 0, part_count});
+      continue;
+    }
     const auto size = 6 * static_cast<Eigen::Index>(block.size());
     Eigen::MatrixXd gram = Eigen::MatrixXd::Zero(size, size);
     const double scale = 0.5 * box.diagonal().norm();
@@ -90,7 +95,7 @@ std::vector<LooseComponent> loose_components(const geometry::TetMesh& mesh,
         Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(gram, Eigen::EigenvaluesOnly).eigenvalues();
     const double limit = kFreeShare * std::max(values.maxCoeff(), 1e-300);
     const auto free = static_cast<int>((values.array() <= limit).count());
-    if (free > 0) loose.push_back({c, count, box.center(), free});
+    if (free > 0) loose.push_back({c, count, box.center(), free, part_count});
   }
   return loose;
 }

@@ -16,15 +16,20 @@
 
 namespace sutured::scene {
 
+/// Most parts of a component whose motions are looked for: their matrix is dense.
+inline constexpr int kRigidPartsMax = 200;
+
 /// A component (by shared vertices) of a tissue that its constraints do not hold.
 struct LooseComponent {
   int component = 0;  ///< numbered as in `connected_components`
   int vertex_count = 0;
   Vec3 centre_m = Vec3::Zero();
   int free_motions = 0;  ///< independent rigid motions left, 6 where nothing is fixed
+  int parts = 1;         ///< more than `kRigidPartsMax`: its motions were not looked for
 };
 
-/// Returns the components that can still move rigidly, or an empty list where K is regular.
+/// Returns the components that can still move rigidly or have too many parts, or an empty list
+/// where K is regular.
 [[nodiscard]] std::vector<LooseComponent> loose_components(const geometry::TetMesh& mesh,
                                                            const geometry::Components& components,
                                                            const geometry::TetAdjacency& adjacency,

@@ -472,6 +472,15 @@ void TissueBinder::check_components(TableReader& table) {
                                        std::to_string(components.count) + " of " + title_ + " (" +
                                        std::to_string(loose.vertex_count) + " vertices about " +
                                        vector_text(loose.centre_m) + " m)";
+    if (loose.parts > kRigidPartsMax) {
+      table.fault("mesh",
+                  part + " hangs together by edges and corners only: it has " +
+                      std::to_string(loose.parts) +
+                      " parts of tets that share faces, and may have " +
+                      std::to_string(kRigidPartsMax),
+                  "mesh it so that neighbours share faces");
+      continue;
+    }
     const std::string what =
         loose.free_motions >= 6
             ? part + " is not fixed anywhere: its stiffness matrix is singular"

@@ -48,6 +48,30 @@ TEST(RigidMotions, SymmetryPlanesHoldABlock) {
           .empty());
 }
 
+/// A string of tets, each of which shares a corner with the next.
+TetMesh string_of_tets(int count) {
+  TetMesh mesh;
+  mesh.vertices_m.emplace_back(0, 0, 0);
+  for (int i = 0; i < count; ++i) {
+    const double x = i;
+    const auto first = static_cast<std::int32_t>(mesh.vertices_m.size()) - 1;
+    mesh.vertices_m.insert(mesh.vertices_m.end(), {{x, 1, 0}, {x, 0, 1}, {x + 1, 0, 0}});
+    mesh.tets.push_back({first, first + 3, first + 1, first + 2});
+  }
+  return mesh;
+}
+
+TEST(RigidMotions, OfTooManyPartsAreNotLookedFor) {
+  const auto most = loose(string_of_tets(kRigidPartsMax), {});
+  ASSERT_EQ(most.size(), 1U);
+  EXPECT_EQ(most[0].parts, kRigidPartsMax);
+  EXPECT_EQ(most[0].free_motions, 3 + 3 * kRigidPartsMax);
+  const auto more = loose(string_of_tets(kRigidPartsMax + 1), {});
+  ASSERT_EQ(more.size(), 1U);
+  EXPECT_EQ(more[0].parts, kRigidPartsMax + 1);
+  EXPECT_EQ(more[0].free_motions, 0);
+}
+
 TEST(RigidMotions, APartHeldByAnEdgeOnlyCanTurn) {
   // Two tets that share the edge (1, 2); the first is fixed.
   TetMesh mesh;
