@@ -99,7 +99,7 @@ class SceneBuilder {
   template <typename Named>
   std::string read_name(TableReader& table, const std::vector<Named>& others) {
     std::string name = table.required_text("name");
-    if (table.has("name") && !is_name(name))
+    if (!name.empty() && !is_name(name))
       table.fault("name", "the name \"" + name + "\" cannot be used",
                   "use up to 32 letters, digits, '_', '-' and '.'");
     for (const Named& other : others)
@@ -242,7 +242,7 @@ class SceneBuilder {
       thread.needle = table.required_text("needle");
       std::vector<std::string> names;
       for (const Needle& needle : scene_.needles) names.push_back(needle.name);
-      if (table.has("needle") &&
+      if (!thread.needle.empty() &&
           std::find(names.begin(), names.end(), thread.needle) == names.end())
         table.fault("needle",
                     table.title() + " hangs on needle \"" + thread.needle +

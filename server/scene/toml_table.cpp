@@ -139,7 +139,10 @@ std::string TableReader::text(std::string_view key, std::string fallback) {
   const toml::node* node = find(key);
   if (node == nullptr) return fallback;
   if (!node->is_string()) wrong_type(key, "a text in quotes");
-  return node->value_exact<std::string>().value_or(std::move(fallback));
+  std::string text = node->value_exact<std::string>().value_or(fallback);
+  if (!text.empty() || !node->is_string()) return text;
+  fault(key, std::string(key) + " of " + title_ + " is an empty text", "write what it names");
+  return fallback;
 }
 
 std::string TableReader::required_text(std::string_view key) {

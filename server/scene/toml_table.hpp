@@ -83,6 +83,7 @@ class TableReader {
   double required_number(std::string_view key, const Range& range, double fallback = 1.0);
   int integer(std::string_view key, int fallback, int low, int high);
   bool boolean(std::string_view key, bool fallback);
+  /// An empty text is a fault: it names nothing.
   std::string text(std::string_view key, std::string fallback);
   std::string required_text(std::string_view key);
   /// One of `words`; returns its index.
