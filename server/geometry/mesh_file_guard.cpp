@@ -86,11 +86,40 @@ class Guard {
   // To be called once, when all nodes are known.
   void close_nodes() {
     sorted_tags_ = file_.node_tags;
-    std::sort(sorted_tags_.begin(), sorted_tags_.end());
-    const auto twin = std::adjacent_find(sorted_tags_.begin(), sorted_tags_.end());
-    if (twin != sorted_tags_.end())
-      cursor_.fail("stands twice in the file", "renumber the nodes",
-                   "node " + std::to_string(*twin));
+    refuse_twins(sorted_tags_, "node", "renumber the nodes");
+  }
+
+  void refuse_twins(std::vector<std::uint64_t>& tags, const char* of, const char* mend) {
+    std::sort(tags.begin(), tags.end());
+    const auto twin = std::adjacent_find(tags.begin(), tags.end());
+    if (twin != tags.end())
+      cursor_.fail("stands twice in the file", mend, of + (' ' + std::to_string(*twin)));
+  }
+
+  void count(const ElementKind& kind) {
+    file_.tets += kind.dimension == 3;
+    file_.triangles += kind.dimension == 2 && kind.nodes == 3;
+  }
+
+  // Of two elements of one number, libgmsh drops one from MSH 1 and 2, whatever they are; with
+  // MSH 4 nobody could tell two tets apart.
+  void note_element(std::int64_t tag, const ElementKind& kind) {
+    count(kind);
+    if (file_.format != MeshFormat::kMsh4 || kind.dimension == 3)
+      element_tags_.push_back(static_cast<std::uint64_t>(tag));
+  }
+  void close_elements() {
+    refuse_twins(element_tags_, "element", "renumber the elements (gmsh FILE -save renumbers)");
+    element_tags_ = {};
+  }
+
+  // Of an element in MSH 1 and 2: libgmsh drops those of a negative entity, and turns others over.
+  void check_group(std::int64_t tag, std::int64_t element) {
+    check_tag(tag);
+    if (tag < 0)
+      cursor_.fail("has the negative group or entity " + std::to_string(tag),
+                   "give groups and entities positive numbers, and save it as 4.1",
+                   "element " + std::to_string(element));
   }
 
   void check_node(std::int64_t tag, std::int64_t element) {
@@ -145,8 +174,9 @@ class Guard {
     for (std::size_t i = 0; i < elements; ++i) {
       const std::int64_t tag = read_element_tag<int>();
       const ElementKind& kind = element_kind(cursor_.text_integer("an element's type"), tag);
-      cursor_.text_integer("an element's physical group");
-      cursor_.text_integer("an element's entity");
+      note_element(tag, kind);
+      check_group(cursor_.text_integer("an element's physical group"), tag);
+      check_group(cursor_.text_integer("an element's entity"), tag);
       const std::int64_t count = cursor_.text_integer("an element's number of nodes");
       if (count != static_cast<std::int64_t>(kind.nodes))
         cursor_.fail("claims " + std::to_string(count) + " nodes where its type has " +
@@ -154,6 +184,7 @@ class Guard {
                      kMendExport, "element " + std::to_string(tag));
       read_element_nodes<int>(tag, kind.nodes);
     }
+    close_elements();
     cursor_.expect("$ENDELM");
     keep(0);
     if (!cursor_.at_end()) file_.left_out.emplace_back("what follows $ENDELM");
@@ -229,6 +260,7 @@ class Guard {
       close_nodes();
     } else {
       msh2 ? walk_elements2() : walk_elements4();
+      close_elements();
     }
   }
 
@@ -305,17 +337,20 @@ class Guard {
       if (tags < 0 || tags > 16) cursor_.fail("an element has " + std::to_string(tags) + " tags");
       return tags;
     };
-    const auto read_rest = [&](std::int64_t tag, std::int64_t tags, std::size_t nodes) {
-      for (std::int64_t k = 0; k < tags; ++k)
-        check_tag(cursor_.integer<std::int32_t>("an element's tag"));
-      read_element_nodes<std::int32_t>(tag, nodes);
+    const auto read_rest = [&](std::int64_t tag, std::int64_t tags, const ElementKind& kind) {
+      note_element(tag, kind);
+      for (std::int64_t k = 0; k < tags; ++k) {
+        const std::int64_t number = cursor_.integer<std::int32_t>("an element's tag");
+        k < 2 ? check_group(number, tag) : check_tag(number);  // those behind: its partitions
+      }
+      read_element_nodes<std::int32_t>(tag, kind.nodes);
     };
     if (!cursor_.binary) {
       for (std::size_t i = 0; i < elements; ++i) {
         const std::int64_t tag = read_element_tag<std::int32_t>();
         const ElementKind& kind = element_kind(cursor_.text_integer("an element's type"), tag);
         const std::int64_t tags = read_tag_count();
-        read_rest(tag, tags, kind.nodes);
+        read_rest(tag, tags, kind);
       }
       return;
     }
@@ -328,7 +363,7 @@ class Guard {
       if (following == 0 || following > elements - done)
         cursor_.fail("a block of elements has the wrong length");
       for (std::size_t i = 0; i < following; ++i)
-        read_rest(read_element_tag<std::int32_t>(), tags, kind.nodes);
+        read_rest(read_element_tag<std::int32_t>(), tags, kind);
       done += following;
     }
   }
@@ -396,6 +431,7 @@ class Guard {
       for (std::size_t i = 0; i < elements; ++i) {
         const std::int64_t tag = read_element_tag<std::uint64_t>();
         max_tag = std::max(max_tag, tag);
+        note_element(tag, kind);
         read_element_nodes<std::uint64_t>(tag, kind.nodes);
       }
       found += elements;
@@ -472,6 +508,7 @@ class Guard {
         const auto element = static_cast<std::int64_t>(c + 1);
         const ElementKind& kind =
             element_kind(cursor_.integer<std::int32_t>("a cell's type"), element);
+        count(kind);
         if (kind.nodes != cell_nodes[c])
           cursor_.fail("has " + std::to_string(cell_nodes[c]) + " points where its type has " +
                            std::to_string(kind.nodes),
@@ -505,7 +542,7 @@ class Guard {
   const std::string& path_;
   std::string_view bytes_;
   CheckedMeshFile file_;
-  std::vector<std::uint64_t> sorted_tags_;
+  std::vector<std::uint64_t> sorted_tags_, element_tags_;
   std::vector<MeshFault> faults_;
   bool seen_names_ = false, seen_entities_ = false, seen_nodes_ = false, seen_elements_ = false;
 };

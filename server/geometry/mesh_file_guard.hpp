@@ -25,6 +25,7 @@ struct CheckedMeshFile {
   std::string version;                   ///< as written in the header
   std::string bytes;                     ///< a well-formed file with the mesh's sections only
   std::vector<std::uint64_t> node_tags;  ///< in the order of the file
+  std::size_t tets = 0, triangles = 0;   ///< elements of these types
   std::vector<std::string> left_out;     ///< names of sections that were not handed on
 };
 

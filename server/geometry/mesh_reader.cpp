@@ -39,10 +39,18 @@ std::string plural(std::size_t count, const char* one, const char* many) {
 // merges FILE.opt) or put another in its place.
 class PrivateFolder {
  public:
-  PrivateFolder() {
-    std::string name = (std::filesystem::temp_directory_path() / "sutured-mesh-XXXXXX").string();
-    if (::mkdtemp(name.data()) == nullptr)
-      throw std::system_error(errno, std::generic_category(), "cannot make a folder " + name);
+  explicit PrivateFolder(const std::string& mesh) {
+    std::error_code failed;
+    const std::filesystem::path parent = std::filesystem::temp_directory_path(failed);
+    std::string name = (parent / "sutured-mesh-XXXXXX").string();
+    if (!failed && ::mkdtemp(name.data()) == nullptr)
+      failed = std::error_code(errno, std::generic_category());
+    if (failed)
+      throw MeshError(mesh, {{0, "",
+                              "cannot be copied: no folder can be made in " +
+                                  (parent.empty() ? "that of TMPDIR" : parent.string()) + " (" +
+                                  failed.message() + ")",
+                              "make room there, or set TMPDIR to a folder that can be written"}});
     path_ = name;
   }
   ~PrivateFolder() {
@@ -127,10 +135,19 @@ void read_group(int dimension, int physical_tag, RawMesh& raw) {
   raw.groups.push_back(std::move(group));
 }
 
+// What libgmsh drops in silence would make another body.
+void expect_all(const std::string& path, const char* what, std::size_t read, std::size_t counted) {
+  if (read != counted)
+    throw MeshError(path, {{0, "",
+                            "libgmsh has read " + std::to_string(read) + " of the " +
+                                std::to_string(counted) + ' ' + what + " in it",
+                            kMendExport}});
+}
+
 RawMesh read_with_gmsh(const std::string& path, const CheckedMeshFile& file) {
   static std::mutex singleton;
   const std::lock_guard lock(singleton);
-  const PrivateFolder folder;
+  const PrivateFolder folder(path);
   const std::filesystem::path copy =
       folder.path() / (file.format == MeshFormat::kVtk ? "mesh.vtk" : "mesh.msh");
   {
@@ -151,15 +168,22 @@ RawMesh read_with_gmsh(const std::string& path, const CheckedMeshFile& file) {
     for (std::size_t i = 0; i < tags.size(); ++i)
       raw.nodes.emplace(tags[i],
                         Vec3(coordinates[3 * i], coordinates[3 * i + 1], coordinates[3 * i + 2]));
+    std::vector<std::size_t> triangles;
+    std::vector<std::size_t> corners;
+    gmsh::model::mesh::getElementsByType(kTriangleType, triangles, corners);
+    expect_all(path, "triangles", triangles.size(), file.triangles);
     std::vector<std::size_t> elements;
     std::vector<std::size_t> nodes;
     gmsh::model::mesh::getElementsByType(kTetType, elements, nodes);
+    expect_all(path, "tetrahedra", elements.size(), file.tets);
     for (std::size_t i = 0; i < elements.size(); ++i)
       raw.tets.push_back(
           {elements[i], {nodes[4 * i], nodes[4 * i + 1], nodes[4 * i + 2], nodes[4 * i + 3]}});
     gmsh::vectorpair groups;
     gmsh::model::getPhysicalGroups(groups);
     for (const auto& [dimension, tag] : groups) read_group(dimension, tag, raw);
+  } catch (const MeshError&) {
+    throw;
   } catch (const std::string& error) {  // what libgmsh throws
     throw MeshError(path, {{0, "", "libgmsh cannot read it: " + error, kMendExport}});
   } catch (const std::exception& error) {

@@ -8,6 +8,7 @@
 
 #include <bit>
 #include <cstdint>
+#include <cstdlib>
 #include <filesystem>
 #include <numeric>
 #include <string>
@@ -95,6 +96,16 @@ TEST_F(MeshReader, ReadsMsh22WithGroupsInTheOrderOfTheFile) {
   EXPECT_EQ(unnamed->dimension, 3);
   ASSERT_NE(mesh.find_group("8"), nullptr);
   EXPECT_EQ(mesh.find_group("8")->dimension, 0);
+}
+
+TEST_F(MeshReader, SaysThatTmpdirIsNoFolder) {
+  const std::string path = folder_.write("a.msh", msh22());
+  const char* before = std::getenv("TMPDIR");
+  const std::string kept = before == nullptr ? "" : before;
+  ::setenv("TMPDIR", folder_.path("none").c_str(), 1);
+  EXPECT_THAT(error_of(path), HasSubstr("cannot be copied: no folder can be made in"));
+  EXPECT_THAT(error_of(path), HasSubstr("; make room there, or set TMPDIR"));
+  before == nullptr ? ::unsetenv("TMPDIR") : ::setenv("TMPDIR", kept.c_str(), 1);
 }
 
 TEST_F(MeshReader, SelectsPhysicalVolumes) {
@@ -276,6 +287,24 @@ TEST_F(MeshReader, RefusesWhatIsNotAMesh) {
        "a.msh: there are no tetrahedra in it"},
       {"a.msh", msh22(kNodes22, "$Elements\n2\n1 4 2 1 1 1 2 3 4\n"),
        "a.msh:20: the file ends where an element's number should stand"},
+      {"a.msh",
+       msh22(kNodes22, "$Elements\n2\n6 4 2 1 1 1 2 3 4\n6 4 2 1 1 2 3 4 5\n$EndElements\n"),
+       "a.msh:21: element 6: stands twice in the file; renumber the elements"},
+      {"a.msh", msh22(kNodes22, "$Elements\n2\n6 2 2 1 1 1 2 3\n6 4 2 1 1 1 2 3 4\n$EndElements\n"),
+       "a.msh:21: element 6: stands twice in the file"},
+      {"a.msh", msh22(kNodes22, "$Elements\n1\n1 4 2 -1 1 1 2 3 4\n$EndElements\n"),
+       "a.msh:20: element 1: has the negative group or entity -1"},
+      {"a.msh", msh22(kNodes22, "$Elements\n1\n1 4 2 1 -2 1 2 3 4\n$EndElements\n"),
+       "a.msh:20: element 1: has the negative group or entity -2"},
+      {"a.msh",
+       "$NOD\n4\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n$ENDNOD\n$ELM\n2\n7 4 1 1 4 1 2 3 4\n"
+       "7 2 1 1 3 1 2 3\n$ENDELM\n",
+       "a.msh:11: element 7: stands twice in the file"},
+      {"a.msh",
+       "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 5 1 5\n3 1 0 5\n1\n2\n3\n4\n5\n0 0 0\n"
+       "1 0 0\n0 1 0\n0 0 1\n1 1 1\n$EndNodes\n$Elements\n1 2 3 3\n3 1 4 2\n3 1 2 3 4\n"
+       "3 2 3 4 5\n$EndElements\n",
+       "a.msh:22: element 3: stands twice in the file"},
       {"a.msh", msh22() + kNodes22, "a.msh:26: section $Nodes stands twice"},
   };
   for (const BadFile& file : files) {
