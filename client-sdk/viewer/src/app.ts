@@ -98,6 +98,8 @@ export class App {
       this.#view.handMode = holds;
       // The keys are the tool's now, not those of the button that took it.
       if (document.documentElement.toggleAttribute("data-hand", holds) && !this.#held) this.#focusPicture();
+      // The next hold begins at rest, whatever is still down.
+      if (!holds) this.#keys.clear();
       this.#held = holds;
       this.#view.wake();
     };
@@ -201,8 +203,14 @@ export class App {
       const byPointer = event.detail > 0 && (event.target as Element).closest("button") !== null;
       if (byPointer && this.#hand.tool) this.#focusPicture();
     });
-    window.addEventListener("keydown", (event) => this.#onKey(event));
-    window.addEventListener("keyup", (event) => this.#keys.release(event.code));
+    window.addEventListener("keydown", (event) => {
+      this.#keys.heed(event);
+      this.#onKey(event);
+    });
+    window.addEventListener("keyup", (event) => {
+      this.#keys.heed(event);
+      this.#keys.release(event.code);
+    });
   }
 
   // ---------------------------------------------------------------- keys

@@ -4,6 +4,7 @@ import { test } from "node:test";
 import type { HandReport } from "../src/connection/worker_messages";
 import { Pad, rumble } from "../src/hand/gamepad";
 import { HandDevice, kPosePeriod_ms, kSilence_ms } from "../src/hand/hand_device";
+import { HeldKeys } from "../src/hand/held_keys";
 import { carried, distanceToCourse, driven, graspShare, needleMotion, pointAt, reachNeedle } from "../src/hand/needle_course";
 import { kMaxSpeed_m_per_s, kMaxSpin_rad_per_s, PosePacer } from "../src/hand/pacer";
 import { dragMode } from "../src/hand/pointer";
@@ -175,6 +176,20 @@ test("Shift turns and Ctrl drives, whatever the mode is", () => {
   assert.equal(dragMode(keys, "drive"), "drive");
   assert.equal(dragMode({ ...keys, shiftKey: true }, "move"), "turn");
   assert.equal(dragMode({ ...keys, metaKey: true }, "turn"), "drive");
+});
+
+test("no key stays down that was released while Meta was", () => {
+  const keys = new HeldKeys();
+  const rest = { move: [0, 0, 0], turn: [0, 0, 0], drive: 0 };
+  const kJ = { key: "j", metaKey: false };
+  for (const event of [{ key: "Meta", metaKey: true }, { key: "Meta", metaKey: false }, { key: "j", metaKey: true }]) {
+    keys.heed(kJ);
+    assert.ok(keys.press("KeyJ"));
+    keys.heed(kJ);
+    assert.ok(keys.rates(false).turn[1] < 0, "without Meta it is down");
+    keys.heed(event);
+    assert.deepEqual(keys.rates(false), rest);
+  }
 });
 
 /** A pad of the standard layout as a browser shows it. */

@@ -38,6 +38,10 @@ export class HeldKeys {
   clear(): void {
     this.#down.clear();
   }
+  /** Takes any key's keydown or keyup: macOS tells no keyup of a key that is released while Meta (⌘) is down. */
+  heed(event: { key: string; metaKey: boolean }): void {
+    if (event.metaKey || event.key === "Meta") this.clear();
+  }
 
   rates(slow: boolean): HandRates {
     const factor = slow ? 0.25 : 1;
