@@ -12,7 +12,7 @@ import { CommandKind, CommandResult, EventKind, ServerState, type ServerStatus }
 import { announce, byId, h } from "./panels/dom";
 import { Events, eventText } from "./panels/events";
 import { HandPanel } from "./panels/hand_panel";
-import { Help, type Shortcut } from "./panels/keys";
+import { actsUnderList, Help, type Shortcut } from "./panels/keys";
 import { Legend } from "./panels/legend";
 import { Overlay } from "./panels/overlay";
 import { PickCard } from "./panels/pick_card";
@@ -239,7 +239,7 @@ export class App {
   #onKey(event: KeyboardEvent): void {
     const target = event.target as HTMLElement;
     if (event.ctrlKey || event.metaKey || /^(INPUT|SELECT|TEXTAREA)$/.test(target.tagName)) return;
-    if (this.#help.element.open && event.code !== "KeyH") return;
+    if (this.#help.element.open && !actsUnderList(event.code)) return;
     this.#slow = event.altKey;
     // A button that has the focus keeps its own keys.
     const onButton = target.tagName === "BUTTON";

@@ -3,6 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { cross, dot, length, subtract, type Vec3 } from "../src/maths/vector";
 import { eventText, joined } from "../src/panels/events";
+import { actsUnderList } from "../src/panels/keys";
 import { Recent } from "../src/panels/recent";
 import { Rate } from "../src/panels/status";
 import { pageOptions } from "../src/page_options";
@@ -133,6 +134,10 @@ test("an event is a line for people", () => {
   assert.equal(eventText(joined(late, { ...late, value: 4 })!), "periods were missed (7)");
   for (const [before, after] of [[event, event], [late, event], [event, late], [undefined, late], [late, { ...late, text: "other" }]] as const)
     assert.equal(joined(before, after), undefined);
+});
+
+test("a stop may be given while the keys are listed, and little else", () => {
+  assert.deepEqual(["KeyS", "KeyH", "KeyG", "KeyP", "KeyR", "Space", "ArrowUp"].filter(actsUnderList), ["KeyS", "KeyH"]);
 });
 
 test("an address asks for a picture, a theme and a view, and for nothing by mistake", () => {

@@ -36,6 +36,9 @@ const kPad: [string, string][] = [
   ["A / B", "jaw / to the needle"],
 ];
 
+/** Returns whether a key acts while the list is open: it closes the list, or it stops, which never waits. */
+export const actsUnderList = (code: string): boolean => code === "KeyH" || code === "KeyS";
+
 /** The overlay that lists every key. */
 export class Help {
   readonly element: HTMLDialogElement;
