@@ -23,6 +23,7 @@ import { TopBar } from "./panels/top_bar";
 import { pageOptions } from "./page_options";
 import { kPresets } from "./scene/cameras";
 import { colourAt, cssColour, kTensionMap } from "./scene/colour_map";
+import { Lead } from "./scene/epochs";
 import { Stage } from "./scene/stage";
 import { wasLed } from "./scene/tools";
 import { View } from "./scene/view";
@@ -61,7 +62,6 @@ export class App {
   readonly #bytes = new Rate();
   #connection: ConnectionState = { phase: "connecting", attempt: 0 };
   #lastStatus: ServerStatus | undefined;
-  #firstBody = "";
   #slow = false;
   #held = false;
   #updated_ms = 0;
@@ -141,6 +141,7 @@ export class App {
   #onConnection(state: ConnectionState): void {
     this.#connection = state;
     this.#bar.setConnection(state);
+    if (state.phase === "open") this.#stage.connected();
     if (state.phase === "lost") {
       this.#hand.lost();
       if (state.everOpen && state.attempt === 1) this.#events.notice("connection lost", "bad");
@@ -169,10 +170,10 @@ export class App {
       announce(reply.text);
     });
     let time_s = 0;
+    const lead = new Lead();
     this.#link.on("suture/mesh/frame", (frame, bytes) => {
       this.#snapshot?.scene.frame(frame.epoch, frame.body);
-      this.#firstBody ||= frame.body;
-      if (frame.body === this.#firstBody) {
+      if (frame.epoch === this.#stage.epoch && lead.take(frame.epoch, frame.body) > 0) {
         this.#frames.add(performance.now(), 0);
         time_s = frame.simulation_time_s;
         this.#bar.setTime(time_s);

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Everything that is drawn, fed by the session's messages.
-import { Mesh, MeshBasicMaterial, SphereGeometry } from "three";
+import { Box3, Mesh, MeshBasicMaterial, SphereGeometry } from "three";
 import type { Link } from "../connection/link";
 import { add, normalized, scale, shaftAlong, type Pose, type Vec3 } from "../maths/vector";
 import { kPresets, presetPlace, sceneAxes, type Preset, type SceneAxes } from "./cameras";
 import { Contacts } from "./contacts";
+import { Epochs, Lead } from "./epochs";
 import { Labels, type Label } from "./labels";
 import { Sutures } from "./sutures";
 import { PlayClock, stampMs } from "./timeline";
@@ -27,11 +28,16 @@ export class Stage {
   readonly #view: View;
   readonly #labels: Labels;
   readonly #marker: Mesh;
+  readonly #epochs = new Epochs();
+  readonly #lead = new Lead();
   #axes: SceneAxes | undefined;
-  #epoch = -1n;
+  /** Of the bodies for which the camera was placed, and whether the needle was known then. */
+  #box = new Box3();
   #placed = false;
   #picked: { body: string; vertex: number } | undefined;
   readonly #firstPicture: (ms: number) => void;
+  /** Called when bodies came or went: the scene is another one than before. */
+  onOther: () => void = () => {};
 
   constructor(view: View, labels: HTMLElement, link: Link, firstPicture: (ms: number) => void) {
     this.#view = view;
@@ -44,22 +50,38 @@ export class Stage {
     view.prepare(this.tissue.standIn());
 
     link.on("suture/mesh/topology", (topology) => {
-      this.#meet(topology.epoch);
-      if (this.tissue.setTopology(topology)) this.#place();
+      if (this.#meet(topology.epoch) && this.tissue.setTopology(topology)) this.#change();
     });
     link.on("suture/mesh/frame", (frame) => {
-      this.#meet(frame.epoch);
+      if (!this.#meet(frame.epoch)) return;
       this.#clock.observe(stampMs(frame.stamp_ns), performance.now());
-      this.tissue.push(frame);
+      if (this.tissue.push(frame) && this.#lead.take(frame.epoch, frame.body) === 2) this.#settle();
       view.wake();
     });
     link.on("suture/needle", (needle) => {
+      if (!this.#meet(needle.epoch)) return;
       this.sutures.pushNeedle(needle);
       if (!this.#placed) this.#place();
     });
-    link.on("suture/thread", (thread) => this.sutures.pushThread(thread));
-    link.on("suture/contact", (contact) => this.#contacts.push(contact));
-    link.on("suture/tool/state", (tool) => this.tools.push(tool));
+    link.on("suture/thread", (thread) => {
+      if (this.#meet(thread.epoch)) this.sutures.pushThread(thread);
+    });
+    link.on("suture/contact", (contact) => {
+      if (this.#meet(contact.epoch)) this.#contacts.push(contact);
+    });
+    link.on("suture/tool/state", (tool) => {
+      if (this.#meet(tool.epoch)) this.tools.push(tool);
+    });
+  }
+
+  /** A connection was made, maybe to another server than before. */
+  connected(): void {
+    this.#epochs.connected();
+  }
+
+  /** The epoch on show. */
+  get epoch(): bigint {
+    return this.#epochs.now;
   }
 
   get hasScene(): boolean {
@@ -128,24 +150,39 @@ export class Stage {
     return scale(at, 3 / course.length);
   }
 
-  /** A new epoch: what came before is of another scene. */
-  #meet(epoch: bigint): void {
-    if (epoch === this.#epoch) return;
-    this.#epoch = epoch;
+  /** Takes a message's epoch; what came before a new one goes. Returns whether the message is one of it. */
+  #meet(epoch: bigint): boolean {
+    const word = this.#epochs.take(epoch);
+    if (word !== "new") return word === "now";
     this.sutures.clear();
     this.tools.clear();
     this.#contacts.clear();
+    return true;
   }
 
-  /** Finds the scene's axes; the camera goes there once, and stays where a person put it. */
+  /** Every body of the epoch has come: what is left is of another scene. After a reset nothing is. */
+  #settle(): void {
+    if (this.tissue.keepOnly(this.epoch)) this.#change();
+    else this.#place();
+  }
+
+  #change(): void {
+    this.#picked = undefined;
+    this.#place();
+    this.onOther();
+  }
+
+  /** Finds the scene's axes; the camera goes there once for each scene, and stays where a person put it. */
   #place(): void {
-    if (this.tissue.empty) return;
-    const box = this.tissue.bounds();
+    const box = this.tissue.bounds(this.epoch);
     const needle = this.#needleAt();
+    const known = this.#placed || needle === undefined;
+    if (box.isEmpty() || (known && box.equals(this.#box))) return;
     const first = this.#axes === undefined;
+    this.#box = box;
     this.#axes = sceneAxes({ min: box.min.toArray() as Vec3, max: box.max.toArray() as Vec3 }, needle);
     this.#view.setAxes(this.#axes);
-    if (first || !this.#placed) this.look(kPresets[0], false);
+    this.look(kPresets[0], false);
     this.#placed = needle !== undefined;
     if (first)
       this.#view.onDrawn = () => {

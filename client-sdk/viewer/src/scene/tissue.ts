@@ -21,7 +21,7 @@ export interface TissueProbe {
 /** A tissue's surface: smooth light, creases kept, colours by stress. */
 class Body {
   readonly mesh: Mesh<BufferGeometry, ScalarMaterial>;
-  readonly topology: MeshTopology;
+  #topology: MeshTopology;
   readonly #timeline = new Timeline<MeshFrame>();
   readonly #split: SplitMesh;
   readonly #position: Float32Array;
@@ -29,7 +29,7 @@ class Body {
   #shown: Partial<{ before: MeshFrame; after: MeshFrame; share: number }> = {};
 
   constructor(topology: MeshTopology, material: ScalarMaterial) {
-    this.topology = topology;
+    this.#topology = topology;
     const rest = topology.rest_position_m;
     this.#split = splitCreases(rest, topology.triangle);
     this.#position = Float32Array.from(rest);
@@ -53,9 +53,20 @@ class Body {
     geometry.boundingSphere.radius *= 2;
   }
 
-  /** Takes a frame; one of another revision is none of this body's. */
+  get topology(): MeshTopology {
+    return this.#topology;
+  }
+
+  /** Takes the same shape of another epoch: it stays as it is drawn until a frame of that epoch comes. */
+  renew(topology: MeshTopology): void {
+    this.#topology = topology;
+    this.#timeline.clear();
+  }
+
+  /** Takes a frame; one of another epoch or revision is none of this body's. */
   push(frame: MeshFrame): void {
-    if (frame.revision === this.topology.revision && frame.position_m.length === this.#position.length)
+    const { epoch, revision } = this.#topology;
+    if (frame.epoch === epoch && frame.revision === revision && frame.position_m.length === this.#position.length)
       this.#timeline.push(stampMs(frame.stamp_ns), frame);
   }
 
@@ -78,12 +89,12 @@ class Body {
 
   probeVertex(i: number): TissueProbe {
     const at = 3 * i;
-    const rest = this.topology.rest_position_m;
+    const rest = this.#topology.rest_position_m;
     const p = this.#position;
     const principal = this.latest?.principal_pa;
     return {
-      body: this.topology.body,
-      vertex: this.topology.vertex[i] ?? i,
+      body: this.#topology.body,
+      vertex: this.#topology.vertex[i] ?? i,
       position_m: [p[at]!, p[at + 1]!, p[at + 2]!],
       displacement_m: Math.hypot(p[at]! - rest[at]!, p[at + 1]! - rest[at + 1]!, p[at + 2]! - rest[at + 2]!),
       von_mises_pa: this.#stress[i]!,
@@ -113,6 +124,16 @@ class Body {
   }
 }
 
+/** Returns whether two bodies are the same at rest. */
+export function sameShape(a: MeshTopology, b: MeshTopology): boolean {
+  const same = (x: ArrayLike<number>, y: ArrayLike<number>): boolean => {
+    if (x.length !== y.length) return false;
+    for (let i = 0; i < x.length; ++i) if (x[i] !== y[i]) return false;
+    return true;
+  };
+  return same(a.rest_position_m, b.rest_position_m) && same(a.triangle, b.triangle) && same(a.vertex, b.vertex);
+}
+
 export class Tissue {
   readonly group = new Group();
   readonly range = new AutoRange(2000);
@@ -130,24 +151,37 @@ export class Tissue {
     return standIn;
   }
 
-  /** Takes a body at rest. Returns whether it is another one than before. */
+  /** Takes a body at rest. Returns whether it is of another shape than before: after a reset it is not. */
   setTopology(topology: MeshTopology): boolean {
     const known = this.#bodies.get(topology.body);
     if (known && known.topology.revision === topology.revision && known.topology.epoch === topology.epoch) return false;
+    if (known && sameShape(known.topology, topology)) {
+      known.renew(topology);
+      return false;
+    }
     if (known) this.#remove(known);
     const body = new Body(topology, this.#material);
+    body.mesh.castShadow = !this.translucent;
     this.#bodies.set(topology.body, body);
     this.group.add(body.mesh);
     return true;
   }
 
-  push(frame: MeshFrame): void {
-    this.#bodies.get(frame.body)?.push(frame);
+  /** Returns whether the frame's body is known in the frame's epoch. */
+  push(frame: MeshFrame): boolean {
+    const body = this.#bodies.get(frame.body);
+    body?.push(frame);
+    return body?.topology.epoch === frame.epoch;
   }
 
-  clear(): void {
-    for (const body of this.#bodies.values()) this.#remove(body);
-    this.#bodies.clear();
+  /** Takes away the bodies of other epochs. Returns whether there were any. */
+  keepOnly(epoch: bigint): boolean {
+    const others = [...this.#bodies].filter(([, body]) => body.topology.epoch !== epoch);
+    for (const [name, body] of others) {
+      this.#remove(body);
+      this.#bodies.delete(name);
+    }
+    return others.length > 0;
   }
 
   get empty(): boolean {
@@ -182,10 +216,11 @@ export class Tissue {
     return this.#material.transparent;
   }
 
-  /** Returns the box of all bodies at rest. */
-  bounds(): Box3 {
+  /** Returns the box of all bodies of an epoch at rest. */
+  bounds(epoch: bigint): Box3 {
     const box = new Box3();
     for (const body of this.#bodies.values()) {
+      if (body.topology.epoch !== epoch) continue;
       const rest = body.topology.rest_position_m;
       for (let i = 0; i < rest.length; i += 3) box.expandByPoint(new Vector3(rest[i], rest[i + 1], rest[i + 2]));
     }
