@@ -79,6 +79,9 @@ export class App {
     this.#stage = new Stage(this.#view, byId("labels"), this.#link, (ms) => {
       document.documentElement.dataset["firstPictureMs"] = ms.toFixed(0);
     });
+    this.#stage.onOther = () => {
+      if (this.#quality.epoch !== this.#stage.epoch) this.#quality.clear();
+    };
     this.#hand = new Hand(this.#link, {
       cameraAxes: () => this.#view.axes(),
       metresPerPixel: (at) => this.#view.metresPerPixel(at),
@@ -161,7 +164,7 @@ export class App {
     this.#link.on("suture/event", (event) => {
       if (!this.#events.push(event)) return;
       if (kSpoken.has(event.kind) && Math.abs(Date.now() - Number(event.stamp_ns / 1_000_000n)) < 2000) announce(eventText(event));
-      if (event.kind === EventKind.Reset) this.#quality.clear();
+      if (event.kind === EventKind.Reset) this.#quality.reset(event.epoch);
     });
     this.#link.on("suture/quality", (quality) => this.#quality.set(quality));
     this.#link.on("suture/command/reply", (reply) => {

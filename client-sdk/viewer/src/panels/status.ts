@@ -61,14 +61,21 @@ export class StatusPanel {
 export class QualityPanel {
   readonly element: HTMLElement;
   readonly #figures = new Figures();
+  #epoch = 0n;
 
   constructor() {
     this.element = card("Suture", "quality", this.#figures.element);
     this.element.hidden = true;
   }
 
+  /** Of what is on show. */
+  get epoch(): bigint {
+    return this.#epoch;
+  }
+
   set(quality: Quality): void {
     this.element.hidden = false;
+    this.#epoch = quality.epoch;
     const f = this.#figures;
     if (quality.gap_start_m > 0) f.set("Gap", `${mm(quality.gap_m, 2)} of ${mm(quality.gap_start_m, 2)}`);
     f.set("Bites", count(quality.bites.length));
@@ -79,6 +86,11 @@ export class QualityPanel {
     f.set("Tip's way", mm(quality.needle_path_m, 0));
     f.set("Hand-overs / drops", `${quality.handovers} / ${quality.needle_drops}`);
     f.set("Time", seconds(quality.elapsed_s));
+  }
+
+  /** Takes a reset's epoch: what is on show may be newer, as for a late joiner, who gets old events again. */
+  reset(epoch: bigint): void {
+    if (epoch > this.#epoch) this.clear();
   }
 
   clear(): void {
