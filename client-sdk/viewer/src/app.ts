@@ -355,7 +355,7 @@ export class App {
     this.#updateLegend();
     this.#handPanel.setTools(this.#stage.tools.views().map((view) => ({
       view, status: this.#toolStatus(view.tool), colour: this.#stage.tools.colour(view.tool),
-    })));
+    })), this.#servedTools());
     const held = this.#hand.tool ? this.#stage.tools.view(this.#hand.tool) : undefined;
     this.#handPanel.update(this.#maxForce(), this.#nearest(), held?.holding ?? "");
     this.#pick.show(this.#stage.probe());
@@ -374,6 +374,12 @@ export class App {
       ...this.#stage.sutures.threads().map((t) => ({ name: t.thread, distance_m: distanceToCourse(t.course_m, at) })),
     ];
     return things.filter((thing) => thing.distance_m < kNear_m).sort((a, b) => a.distance_m - b.distance_m)[0];
+  }
+
+  /** Returns the names of the scene's tools, once its own status has come. */
+  #servedTools(): string[] | undefined {
+    const status = this.#lastStatus;
+    return status?.epoch === this.#stage.epoch ? status.tools.map((each) => each.tool) : undefined;
   }
 
   #toolStatus(tool: string) {

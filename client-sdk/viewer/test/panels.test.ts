@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import type { Hand } from "../src/hand/hand";
+import { HeldKeys } from "../src/hand/held_keys";
+import { HandPanel } from "../src/panels/hand_panel";
 import { QualityPanel } from "../src/panels/status";
-import type { Quality } from "../src/protocol/messages";
+import type { Quality, ToolView } from "../src/protocol/messages";
 import { standInPage } from "./page";
 
 standInPage();
@@ -18,4 +21,21 @@ test("a reset clears the figures of what was before it, and not those that came 
   assert.equal(panel.element.hidden, false, "a late joiner gets the old resets again");
   panel.reset(6n);
   assert.equal(panel.element.hidden, true);
+});
+
+test("the row of a tool goes with its scene, and with it a hold", () => {
+  const ended: string[] = [];
+  const hand = { tool: "driver", release: (why: string) => ended.push(why) };
+  const panel = new HandPanel(hand as unknown as Hand, new HeldKeys());
+  const row = (tool: string) => ({ view: { tool, holding: "", faults: 0, force_n: new Float64Array(3) } as ToolView, status: undefined, colour: "" });
+  panel.setTools([row("driver"), row("forceps")]);
+  panel.setTools([], undefined);
+  panel.setTools([], ["driver", "forceps"]);
+  panel.setTools([row("forceps")], ["driver", "forceps"]);
+  assert.deepEqual(panel.tools, ["driver", "forceps"], "a reset: their states are on the way");
+  panel.setTools([row("probe"), row("forceps")], ["probe"]);
+  assert.deepEqual(panel.tools, ["forceps", "probe"]);
+  assert.deepEqual(ended, ["the scene has no such tool"]);
+  panel.setTools([row("probe")], ["probe"]);
+  assert.deepEqual(panel.tools, ["probe"]);
 });

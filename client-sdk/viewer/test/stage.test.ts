@@ -87,6 +87,12 @@ test("another scene on the same port takes the place of the one before", () => {
   assert.ok(seen.flights > flights && seen.others > 0);
   assert.ok(made.axes.centre[0] > 19);
 
+  // A tool of the same name and another kind is drawn as what it is.
+  const drawn = made.tools.group.children.length;
+  say("suture/tool/state", { ...tool(4n, "probe"), kind: "probe" });
+  assert.equal(made.tools.group.children.length, drawn);
+  assert.equal(made.tools.view("probe")?.kind, "probe");
+
   // What was still on the way of an older epoch changes nothing.
   say("suture/mesh/frame", frame(3n, "a", 0));
   say("suture/tool/state", tool(3n, "driver"));

@@ -104,7 +104,10 @@ export class HandPanel {
     return [...this.#rows.keys()];
   }
 
-  setTools(tools: readonly { view: ToolView; status: ToolStatus | undefined; colour: string }[]): void {
+  /** `served`: the names of all tools of the scene, where they are known; the row of any other goes. */
+  setTools(tools: readonly { view: ToolView; status: ToolStatus | undefined; colour: string }[], served?: readonly string[]): void {
+    for (const name of this.#rows.keys())
+      if (served && !served.includes(name) && !tools.some(({ view }) => view.tool === name)) this.#drop(name);
     for (const { view, status, colour } of tools) {
       const row = this.#rows.get(view.tool) ?? this.#add(view.tool, colour);
       const mine = this.#hand.tool === view.tool;
@@ -152,6 +155,12 @@ export class HandPanel {
     if (text === this.#leaseText) return;
     this.#leaseText = text;
     setText(this.#lease, text);
+  }
+
+  #drop(tool: string): void {
+    this.#rows.get(tool)?.element.remove();
+    this.#rows.delete(tool);
+    if (this.#hand.tool === tool) this.#hand.release("the scene has no such tool");
   }
 
   #add(tool: string, colour: string): Row {

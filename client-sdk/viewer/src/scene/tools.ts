@@ -24,11 +24,13 @@ const kQuiet_n = 0.003;
 class Instrument {
   readonly group = new Group();
   readonly timeline = new Timeline<ToolView>();
+  readonly kind: string;
   readonly colour: Color;
   readonly #jaws: Group[] = [];
   readonly #body: MeshMatcapMaterial;
 
   constructor(kind: string, colour: Color) {
+    this.kind = kind;
     this.colour = colour;
     this.#body = steel();
     const accent = new MeshStandardMaterial({ color: colour, roughness: 0.4, metalness: 0.1, emissive: colour, emissiveIntensity: 0.18 });
@@ -118,8 +120,10 @@ export class Tools {
 
   push(view: ToolView): void {
     let tool = this.#tools.get(view.tool);
-    if (!tool) {
-      const colour = new Color(kToolColours[this.#tools.size % kToolColours.length]);
+    if (tool?.kind !== view.kind) {
+      // In another scene a tool of that name may be of another kind.
+      if (tool) this.group.remove(tool.group);
+      const colour = tool?.colour ?? new Color(kToolColours[this.#tools.size % kToolColours.length]);
       this.#tools.set(view.tool, (tool = new Instrument(view.kind, colour)));
       this.group.add(tool.group);
     }
