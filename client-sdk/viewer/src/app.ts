@@ -81,6 +81,8 @@ export class App {
     });
     this.#stage.onOther = () => {
       if (this.#quality.epoch !== this.#stage.epoch) this.#quality.clear();
+      this.#force.recent.forget();
+      this.#tension.recent.forget();
     };
     this.#hand = new Hand(this.#link, {
       cameraAxes: () => this.#view.axes(),

@@ -112,6 +112,9 @@ test("plots keep the last twenty seconds, figures of one moment in one row", () 
   assert.ok(60 - recent.times[0]! < 21);
   recent.push("driver", 0, 1);
   assert.deepEqual(recent.times, [0], "time went back: a reset");
+  recent.forget();
+  recent.push("forceps", 1, 2);
+  assert.deepEqual([recent.names, recent.times, recent.columns], [["forceps"], [1], [[2]]]);
 });
 
 test("a rate is of the last second", () => {

@@ -16,7 +16,7 @@ export class Plot {
   readonly #least: number;
   #plot: uPlot | undefined;
   #drawn_ms = 0;
-  #series = 0;
+  #series = "";
 
   /** `least` is the smallest end of the scale. */
   constructor(title: string, id: string, unit: string, least: number, colour: (name: string) => string) {
@@ -35,7 +35,7 @@ export class Plot {
   update(now_ms: number): void {
     if (now_ms - this.#drawn_ms < kDraw_ms || this.#place.clientWidth === 0) return;
     this.#drawn_ms = now_ms;
-    if (!this.#plot || this.#series !== this.recent.names.length) this.#make();
+    if (!this.#plot || this.#series !== this.recent.names.join()) this.#make();
     this.#plot!.setData([this.recent.times, ...this.recent.columns] as uPlot.AlignedData);
   }
 
@@ -45,14 +45,14 @@ export class Plot {
 
   #make(): void {
     this.#plot?.destroy();
-    this.#series = this.recent.names.length;
+    this.#series = this.recent.names.join();
     const [grid, text] = [cssVariable("--line"), cssVariable("--dim")];
     const axis: uPlot.Axis = {
       stroke: text, grid: { stroke: grid, width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif", gap: 3,
     };
     this.#plot = new uPlot({
       ...this.#size(),
-      legend: { show: this.#series > 1, live: false },
+      legend: { show: this.recent.names.length > 1, live: false },
       cursor: { show: false },
       scales: {
         x: { time: false, range: (_, __, max) => [Math.max(0, (max ?? 0) - kWindow_s), Math.max(max ?? 0, kWindow_s)] },

@@ -31,6 +31,12 @@ export class Recent {
     }
   }
 
+  /** Forgets the names as well. */
+  forget(): void {
+    this.clear();
+    this.names.length = this.columns.length = 0;
+  }
+
   clear(): void {
     this.times.length = 0;
     for (const each of this.columns) each.length = 0;
