@@ -187,9 +187,11 @@ export class App {
     });
     this.#link.on("suture/mesh/topology", () => this.#overlay.show(this.#connection, true));
     this.#link.on("suture/tool/state", (tool) => {
-      if (wasLed(tool)) this.#force.recent.push(tool.tool, time_s, Math.hypot(...tool.force_n));
+      if (tool.epoch === this.#stage.epoch && wasLed(tool)) this.#force.recent.push(tool.tool, time_s, Math.hypot(...tool.force_n));
     });
-    this.#link.on("suture/thread", (thread) => this.#tension.recent.push(thread.thread, time_s, thread.tension_n));
+    this.#link.on("suture/thread", (thread) => {
+      if (thread.epoch === this.#stage.epoch) this.#tension.recent.push(thread.thread, time_s, thread.tension_n);
+    });
 
     listenToPointer(this.#view.canvas, this.#hand, {
       pick: (x, y) => this.#stage.pick(x, y),
