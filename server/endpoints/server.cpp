@@ -148,7 +148,8 @@ void Server::stop(const std::string& reason) noexcept {
   s.publisher->finish(reason);
   const bool whole = s.loop->failure().empty();
   s.loop->stop();
-  if (s.keeper && whole) s.keeper->note_ended();
+  // One that makes room for a rival has not ended as asked.
+  if (s.keeper && whole && s.publisher->rival().empty()) s.keeper->note_ended();
   s.tear_down();
 }
 
