@@ -55,4 +55,16 @@ void WholeFile::give_up() const {
   throw std::system_error(errno, std::generic_category(), path_.string() + " cannot be written");
 }
 
+bool same_file(const std::filesystem::path& a, const std::filesystem::path& b) {
+  namespace fs = std::filesystem;
+  std::error_code failed;
+  if (a.empty() || b.empty()) return false;
+  if (fs::exists(a, failed) && fs::exists(b, failed))
+    return fs::is_regular_file(a, failed) && fs::equivalent(a, b, failed);
+  const fs::path where_a = fs::weakly_canonical(a, failed);
+  if (failed) return false;
+  const fs::path where_b = fs::weakly_canonical(b, failed);
+  return !failed && where_a == where_b;
+}
+
 }  // namespace suture

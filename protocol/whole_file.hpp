@@ -36,4 +36,8 @@ class WholeFile {
   int fd_ = -1;
 };
 
+/// Returns whether both name one regular file, or would, where it is not there yet: what writes the
+/// one would destroy the other.
+[[nodiscard]] bool same_file(const std::filesystem::path& a, const std::filesystem::path& b);
+
 }  // namespace suture

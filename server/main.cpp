@@ -2,6 +2,7 @@
 // The command line of the server. Each subcommand lives in commands/.
 #include <CLI/CLI.hpp>
 #include <exception>
+#include <filesystem>
 #include <iostream>
 #include <sstream>
 #include <string>
@@ -37,6 +38,10 @@ int main(int argc, char** argv) {
     app.exit(error, std::cout, text);
     sutured::commands::tell_failure(text.str());
     return 2;
+  } catch (const std::filesystem::filesystem_error& error) {
+    sutured::commands::tell_failure("sutured: " + error.path1().string() + ": " +
+                                    error.code().message());
+    return 1;
   } catch (const std::exception& error) {
     sutured::commands::tell_failure(std::string("sutured: ") + error.what());
     return 1;

@@ -26,7 +26,8 @@ class OutputFile {
       : path_(directory / name), stream_(path_) {
     begin();
   }
-  /// Goes on with a file of at least `size` bytes behind its first `size`, and drops the rest.
+  /// Goes on with a file of at least `size` bytes behind its first `size`; `drop_rest` drops the
+  /// rest, once all files of a run are known to be good.
   OutputFile(const std::filesystem::path& directory, const std::string& name, std::uint64_t size)
       : path_(directory / name) {
     std::error_code failed;
@@ -35,8 +36,14 @@ class OutputFile {
       throw std::runtime_error(path_.string() +
                                ": is not what the checkpoint's run had written; give --out the "
                                "folder of that run");
+    stream_.open(path_, std::ios::app | std::ios::ate);
+    begin();
+  }
+  void drop_rest(std::uint64_t size) {
+    std::error_code failed;
     std::filesystem::resize_file(path_, size, failed);
-    if (!failed) stream_.open(path_, std::ios::app | std::ios::ate);
+    stream_.seekp(0, std::ios::end);
+    if (failed) stream_.setstate(std::ios::failbit);
     begin();
   }
   template <typename T>

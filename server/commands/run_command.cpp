@@ -9,8 +9,10 @@
 #include <cmath>
 #include <filesystem>
 #include <iostream>
+#include <optional>
 #include <span>
 #include <stdexcept>
+#include <system_error>
 
 #include "checkpoints/checkpoint_file.hpp"
 #include "commands/output_file.hpp"
@@ -18,6 +20,7 @@
 #include "commands/scene_file.hpp"
 #include "protocol/number_option.hpp"
 #include "protocol/surgeon.hpp"
+#include "protocol/whole_file.hpp"
 #include "scene/scene_reader.hpp"
 #include "simulation/simulation.hpp"
 
@@ -105,6 +108,7 @@ struct StepFiles {
     std::vector<OutputFile> opened;
     for (std::size_t i = 0; i < kNames.size(); ++i)
       opened.emplace_back(folder, kNames[i], sizes[i]);
+    for (std::size_t i = 0; i < kNames.size(); ++i) opened[i].drop_rest(sizes[i]);
     return StepFiles(std::move(opened));
   }
   [[nodiscard]] Sizes sizes() {
@@ -144,15 +148,39 @@ RunState read_run(const RunOptions& options, const scene::Scene& scene, double r
   return state;
 }
 
-void write_run(const RunOptions& options, const scene::Scene& scene, RunState state,
-               Simulation& sim, RunRecord& record) {
-  checkpoints::CheckpointInfo info;
-  info.identity = checkpoints::identity_of(scene, checkpoints::Writer::kRun);
-  info.time_s = sim.time_s();
-  std::vector<std::byte> bytes;
-  Archive archive = Archive::writing(bytes, Archive::Caches::kKept);
-  archive_run(archive, state, sim, record);
-  checkpoints::write_checkpoint(options.checkpoint, info, bytes);
+/// A run's state is kept at once and written when its results are on the disk.
+class EndCheckpoint {
+ public:
+  EndCheckpoint(const scene::Scene& scene, RunState state, Simulation& sim, RunRecord& record) {
+    info_.identity = checkpoints::identity_of(scene, checkpoints::Writer::kRun);
+    info_.time_s = sim.time_s();
+    Archive archive = Archive::writing(bytes_, Archive::Caches::kKept);
+    archive_run(archive, state, sim, record);
+  }
+  void write(const std::string& path) const { checkpoints::write_checkpoint(path, info_, bytes_); }
+
+ private:
+  checkpoints::CheckpointInfo info_;
+  std::vector<std::byte> bytes_;
+};
+
+/// Refuses a --checkpoint that cannot be written, or would be written over something else of the
+/// run, before the run.
+void check_checkpoint(const RunOptions& options, const scene::Scene& scene) {
+  std::vector<std::filesystem::path> others{scene.path, options.surgeon};
+  for (const scene::Tissue& tissue : scene.tissues) others.emplace_back(tissue.mesh_path);
+  const std::filesystem::path out(options.out);
+  for (const char* name : StepFiles::kNames) others.push_back(out / name);
+  for (const char* name : {"final.vtk", "summary.json"}) others.push_back(out / name);
+  for (const std::filesystem::path& other : others)
+    if (suture::same_file(options.checkpoint, other))
+      throw std::runtime_error(options.checkpoint + ": is " + other.string() +
+                               "; give --checkpoint a file of its own");
+  try {
+    const suture::WholeFile probe(options.checkpoint, 0600);
+  } catch (const std::system_error& error) {
+    throw std::runtime_error(std::string(error.what()) + "; choose another --checkpoint");
+  }
 }
 
 void write_step(const scene::Scene& scene, const Simulation& sim,
@@ -199,6 +227,7 @@ int run(const RunOptions& options) {
                                "\" is not in the scene " + options.scene +
                                "; name one of its [[tool]] tables");
   make_output_folder(options.out);
+  if (!options.checkpoint.empty()) check_checkpoint(options, scene);
 
   Simulation sim(scene);
   const double rate_hz = options.rate_hz > 0.0 ? options.rate_hz : scene.rate_hz;
@@ -231,8 +260,10 @@ int run(const RunOptions& options) {
   state.sizes = files.sizes();
   for (OutputFile& file : files.files) file.close();
   // Before the record measures for its summary: a run that is not cut does not do that here.
-  if (!options.checkpoint.empty()) write_run(options, scene, state, sim, record);
+  std::optional<EndCheckpoint> checkpoint;
+  if (!options.checkpoint.empty()) checkpoint.emplace(scene, state, sim, record);
   record.write(options.out, sim);
+  if (checkpoint) checkpoint->write(options.checkpoint);
   return 0;
 }
 
