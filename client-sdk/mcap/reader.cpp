@@ -79,7 +79,8 @@ bool Reader::next(Message& message) {
         if (!use(opcode, content, &message)) return false;
         return true;
       }
-      if (!use(opcode, content, nullptr)) return false;
+      // Metadata stand outside of chunks; in one, packed, there could be any number of them.
+      if (opcode != Opcode::kMetadata && !use(opcode, content, nullptr)) return false;
       continue;
     }
     if (loose_) {

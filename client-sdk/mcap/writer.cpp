@@ -47,14 +47,14 @@ Writer::Writer(const std::string& path, Existing existing, std::string_view prof
     throw Error(ErrorCode::kBadInput, path + ": is not a regular file", "choose another name");
   }
   try {
-    if (ftruncate(file_, 0) != 0) fail(errno);
-    ByteSink sink(out_);
+    ByteSink sink(head_);
     sink.bytes(std::as_bytes(std::span(kMagic)));
     sink.record(Opcode::kHeader, [&] {
       sink.text(profile);
       sink.text(library);
     });
-    append(out_);
+    size_ = head_.size();
+    if (kind.st_size == 0) begin();
   } catch (...) {
     ::close(file_);
     throw;
@@ -286,8 +286,16 @@ void Writer::finish() {
   if (::close(file) != 0) fail(errno);
 }
 
+void Writer::begin() {
+  if (ftruncate(file_, 0) != 0) fail(errno);
+  size_ = 0;
+  const std::vector<std::byte> head = std::exchange(head_, {});
+  append(head);
+}
+
 void Writer::append(std::span<const std::byte> bytes) {
   if (!failure_.empty()) fail(0);
+  if (replaces()) begin();
   std::span<const std::byte> left = bytes;
   while (!left.empty()) {
     const ssize_t written = ::write(file_, left.data(), left.size());
@@ -304,7 +312,7 @@ void Writer::fail(int fault) {
   if (failure_.empty()) {
     failure_ = text_of(fault);
     // Nothing half-written stays; where that fails as well, a reader finds the cut itself.
-    if (file_ >= 0 && ftruncate(file_, static_cast<off_t>(size_)) != 0) errno = 0;
+    if (file_ >= 0 && !replaces() && ftruncate(file_, static_cast<off_t>(size_)) != 0) errno = 0;
   }
   throw Error(ErrorCode::kBadInput, path_ + ": cannot be written: " + failure_,
               "make room; what was written until then can be read");

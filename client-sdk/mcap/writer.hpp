@@ -27,8 +27,9 @@ class Writer {
  public:
   enum class Existing { kRefuse, kReplace };
 
-  /// Makes the file. Throws Error kBadInput where it exists and shall not be replaced, is
-  /// no regular file, or cannot be made. `profile` and `library` stand in its header.
+  /// Makes the file; one that it replaces stays until something is written. Throws Error kBadInput
+  /// where it exists and shall not be replaced, is no regular file, or cannot be made. `profile`
+  /// and `library` stand in its header.
   Writer(const std::string& path, Existing existing, std::string_view profile,
          std::string_view library);
   /// Leaves the file as it is: without `finish`, one that was cut off.
@@ -51,6 +52,8 @@ class Writer {
   void finish();
 
   [[nodiscard]] std::uint64_t message_count() const noexcept { return message_count_; }
+  /// Returns whether what the file held before is still there.
+  [[nodiscard]] bool replaces() const noexcept { return !head_.empty(); }
   /// Returns the length of the file so far.
   [[nodiscard]] std::uint64_t size_bytes() const noexcept { return size_; }
   /// Returns whether the present chunk holds messages.
@@ -73,6 +76,7 @@ class Writer {
     std::string name;
   };
 
+  void begin();
   void append(std::span<const std::byte> bytes);
   [[noreturn]] void fail(int fault);
   static void put(ByteSink& sink, const Schema& schema);
@@ -89,6 +93,7 @@ class Writer {
   std::vector<ChannelState> channels_;
   std::vector<ChunkInfo> chunks_;
   std::vector<MetadataInfo> metadata_;
+  std::vector<std::byte> head_;  // what the file begins with, until it is written
   std::vector<std::byte> chunk_, compressed_, out_;
   std::uint64_t chunk_begin_ns_ = 0, chunk_end_ns_ = 0;
   std::uint64_t message_count_ = 0, begin_ns_ = 0, end_ns_ = 0;

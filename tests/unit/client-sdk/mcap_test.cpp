@@ -157,6 +157,53 @@ TEST_F(Mcap, AnEmptyRecordingIsWhole) {
   EXPECT_EQ(outcome.damage, "");
 }
 
+TEST_F(Mcap, WhatIsReplacedStaysUntilSomethingIsWritten) {
+  const std::string path = folder_.path("old.mcap");
+  const std::vector<Got> old = write_three_chunks(path);
+  {
+    Writer writer(path, Writer::Existing::kReplace, "", "test");
+    EXPECT_TRUE(writer.replaces());
+    writer.flush();
+  }
+  EXPECT_EQ(read_all(path).messages, old);
+  Writer writer(path, Writer::Existing::kReplace, "", "test");
+  const std::uint16_t channel = writer.add_channel(writer.add_schema("a", "b", "c"), "t", "cdr");
+  writer.write(Message{channel, 0, 1, 1, bytes_of("new")});
+  writer.finish();
+  const Outcome outcome = read_all(path);
+  ASSERT_EQ(outcome.messages.size(), 1U);
+  EXPECT_EQ(outcome.messages[0].data, "new");
+  EXPECT_EQ(outcome.damage, "");
+  EXPECT_EQ(writer.size_bytes(), read_file(path).size());
+}
+
+TEST_F(Mcap, MetadataInAChunkAreNotKept) {
+  std::vector<std::byte> chunk, file;
+  ByteSink inner(chunk), sink(file);
+  for (int i = 0; i < 1000; ++i) {
+    inner.record(Opcode::kMetadata, [&] {
+      inner.text("session");
+      inner.texts({});
+    });
+  }
+  sink.bytes(std::as_bytes(std::span(kMagic)));
+  sink.record(Opcode::kChunk, [&] {
+    sink.put(std::uint64_t{0});
+    sink.put(std::uint64_t{0});
+    sink.put(std::uint64_t{chunk.size()});
+    sink.put(std::uint32_t{0});
+    sink.text("");
+    sink.put(std::uint64_t{chunk.size()});
+    sink.bytes(chunk);
+  });
+  sink.record(Opcode::kDataEnd, [&] { sink.put(std::uint32_t{0}); });
+  const std::string path = folder_.write(
+      "packed.mcap", std::string(reinterpret_cast<const char*>(file.data()), file.size()));
+  const Outcome outcome = read_all(path);
+  EXPECT_EQ(outcome.damage, "");
+  EXPECT_TRUE(outcome.metadata.empty());
+}
+
 TEST_F(Mcap, WithoutItsEndAFileReadsToItsLastChunk) {
   const std::string path = folder_.path("cut.mcap");
   const std::vector<Got> written = write_three_chunks(path, false);
