@@ -26,6 +26,7 @@
 #include "force_plot.hpp"
 #include "protocol/surgeon.hpp"
 #include "protocol/types.hpp"
+#include "protocol/whole_file.hpp"
 #include "suture/session.hpp"
 #include "suture/viewer.hpp"
 
@@ -484,6 +485,7 @@ Outcome play(const DeviceArguments& arguments, std::span<const SurgeonTrack* con
 
   Outcome outcome;
   outcome.scene = players[0]->scene();
+  log.begin();
   if (!arguments.quiet) {
     std::string names;
     for (const std::string& tool : tools) names += (names.empty() ? "" : ", ") + tool;
@@ -632,6 +634,22 @@ std::vector<const SurgeonTrack*> choose_tracks(const Surgeon& surgeon,
   return tracks;
 }
 
+/// Refuses outputs that would be written over the surgeon or over each other.
+void expect_own_files(const DeviceArguments& arguments) {
+  const std::array<std::pair<const char*, const std::string*>, 4> files{
+      {{"the surgeon's", &arguments.surgeon},
+       {"--log", &arguments.log},
+       {"--plot", &arguments.plot},
+       {"--summary", &arguments.summary}}};
+  for (std::size_t i = 0; i < files.size(); ++i)
+    for (std::size_t k = i + 1; k < files.size(); ++k)
+      if (same_file(*files[i].second, *files[k].second))
+        throw Error(
+            ErrorCode::kBadInput,
+            *files[k].second + ": " + files[k].first + " is " + files[i].first + " file too",
+            std::string("give ") + files[k].first + " a file of its own");
+}
+
 }  // namespace
 
 int run_device(const DeviceArguments& arguments) {
@@ -640,6 +658,7 @@ int run_device(const DeviceArguments& arguments) {
   std::vector<std::string> tools;
   tools.reserve(tracks.size());
   for (const SurgeonTrack* track : tracks) tools.push_back(track->tool);
+  expect_own_files(arguments);
   ForceLog log(arguments.log, tools);
   const Outcome outcome = play(arguments, tracks, tools, log);
   print_summary(outcome);

@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "force_log.hpp"
 
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <cerrno>
 #include <chrono>
@@ -45,15 +49,12 @@ ForceLog::ForceLog(const std::string& path, std::span<const std::string> tools) 
     lanes_.back()->tool = tool;
   }
   if (!path.empty()) {
-    file_ = std::fopen(path.c_str(), "w");
+    const int fd = ::open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0666);
+    file_ = fd < 0 ? nullptr : ::fdopen(fd, "w");
     if (file_ == nullptr) {
       throw Error(ErrorCode::kBadInput, path + ": cannot be written: " + reason(),
                   "check the path and its permissions");
     }
-    std::fputs(
-        "time_s,tool,hand_sequence,force_sequence,state,faults,px_m,py_m,pz_m,qx,qy,qz,qw,jaw,"
-        "fx_n,fy_n,fz_n,tx_nm,ty_nm,tz_nm,round_trip_us,model_age_us\n",
-        file_);
   }
   worker_ = std::thread([this] { work(); });
 }
@@ -62,6 +63,20 @@ ForceLog::~ForceLog() {
   finishing_ = true;
   if (worker_.joinable()) worker_.join();
   if (file_ != nullptr) std::fclose(file_);
+}
+
+void ForceLog::begin() {
+  if (file_ == nullptr) return;
+  struct stat facts {};
+  const int fd = ::fileno(file_);
+  if (::fstat(fd, &facts) == 0 && S_ISREG(facts.st_mode) && ::ftruncate(fd, 0) != 0) {
+    throw Error(ErrorCode::kBadInput, path_ + ": cannot be written: " + reason(),
+                "check the path and its permissions");
+  }
+  std::fputs(
+      "time_s,tool,hand_sequence,force_sequence,state,faults,px_m,py_m,pz_m,qx,qy,qz,qw,jaw,"
+      "fx_n,fy_n,fz_n,tx_nm,ty_nm,tz_nm,round_trip_us,model_age_us\n",
+      file_);
 }
 
 void ForceLog::push(std::size_t tool, const ForceRecord& record) noexcept {

@@ -53,11 +53,14 @@ class ForceTrace {
 /// those of several are mixed within 20 ms.
 class ForceLog {
  public:
-  /// Opens `path`, none if empty. Throws Error kBadInput.
+  /// Opens `path`, none if empty, and leaves what is in it until `begin`. Throws Error kBadInput.
   ForceLog(const std::string& path, std::span<const std::string> tools);
   ~ForceLog();
   ForceLog(const ForceLog&) = delete;
   ForceLog& operator=(const ForceLog&) = delete;
+
+  /// Begins the file anew; before the first record. Throws Error kBadInput.
+  void begin();
 
   /// Hands over a record of the tool of that index. Neither waits nor allocates.
   void push(std::size_t tool, const ForceRecord& record) noexcept;

@@ -4,6 +4,8 @@
 #include <CLI/CLI.hpp>
 #include <csignal>
 #include <cstdio>
+#include <exception>
+#include <filesystem>
 
 #include "commands.hpp"
 #include "options.hpp"
@@ -65,6 +67,14 @@ int run(int argc, char** argv) {
     std::fprintf(stderr, "suture: %s\n", error.cause().c_str());
     if (!error.mend().empty()) std::fprintf(stderr, "  %s\n", error.mend().c_str());
     return exit_code_of(error.code());
+  } catch (const std::filesystem::filesystem_error& error) {
+    std::fflush(stdout);
+    std::fprintf(stderr, "suture: %s: %s\n", error.path1().c_str(), error.code().message().c_str());
+    return kFailed;
+  } catch (const std::exception& error) {
+    std::fflush(stdout);
+    std::fprintf(stderr, "suture: %s\n", error.what());
+    return kFailed;
   }
 }
 

@@ -195,7 +195,10 @@ int run_record(const RecordArguments& arguments) {
   if (on_terminal()) std::printf("\r\033[K");
   const double duration_s = recording.duration_s();
   try {
-    recording.finish();
+    if (!recording.finish()) {
+      std::printf("nothing came: %s is as it was\n", arguments.file.c_str());
+      return kDone;
+    }
   } catch (const Error&) {
     print_summary(recording, topics, duration_s, arguments.file);
     throw;

@@ -43,6 +43,7 @@ std::uint64_t Recording::now_ns() const noexcept {
 }
 
 void Recording::add(std::size_t topic, SerializedSample sample, const SampleInfo& info) {
+  used_ = true;
   Lane& lane = lanes_[topic];
   const std::uint64_t received_ns = now_ns();
   if (first_ns_ == 0) first_ns_ = received_ns;
@@ -73,6 +74,7 @@ void Recording::add(std::size_t topic, SerializedSample sample, const SampleInfo
 }
 
 void Recording::add(mcap::Metadata metadata) {
+  used_ = true;
   const std::lock_guard lock(mutex_);
   waiting_.push_back({{}, {}, std::move(metadata)});
 }
@@ -91,13 +93,15 @@ double Recording::duration_s() const {
   return first_ns_ == 0 ? 0.0 : 1e-9 * static_cast<double>(now_ns() - first_ns_);
 }
 
-void Recording::finish() {
+bool Recording::finish() {
   const Counts all = total();
-  add(mcap::Metadata{"suture.recording",
-                     {{"duration_s", std::to_string(duration_s())},
-                      {"samples", std::to_string(all.samples)},
-                      {"missing", std::to_string(all.missing)},
-                      {"dropped", std::to_string(all.dropped)}}});
+  if (used_ || !writer_.replaces()) {
+    add(mcap::Metadata{"suture.recording",
+                       {{"duration_s", std::to_string(duration_s())},
+                        {"samples", std::to_string(all.samples)},
+                        {"missing", std::to_string(all.missing)},
+                        {"dropped", std::to_string(all.dropped)}}});
+  }
   {
     const std::lock_guard lock(mutex_);
     finishing_ = true;
@@ -105,8 +109,10 @@ void Recording::finish() {
   wake_.notify_one();
   thread_.join();
   if (failed()) throw Error(*failure_);
+  if (writer_.replaces()) return false;
   writer_.finish();
   size_bytes_ = writer_.size_bytes();
+  return true;
 }
 
 void Recording::work() noexcept {

@@ -47,9 +47,10 @@ class Recording {
   void add(mcap::Metadata metadata);
   /// Returns whether the disk refused; `finish` says why.
   [[nodiscard]] bool failed() const noexcept { return failed_.load(std::memory_order_acquire); }
-  /// Writes what waits, the counts as metadata, and the summary. Throws Error kBadInput where
-  /// the disk refused.
-  void finish();
+  /// Writes what waits, the counts as metadata, and the summary. Returns false where nothing was
+  /// added and the file that was to be replaced is as it was. Throws Error kBadInput where the disk
+  /// refused.
+  [[nodiscard]] bool finish();
 
   [[nodiscard]] const Counts& counts(std::size_t topic) const { return lanes_[topic].counts; }
   [[nodiscard]] Counts total() const;
@@ -88,6 +89,7 @@ class Recording {
   std::condition_variable wake_;
   std::vector<Item> waiting_;
   bool finishing_ = false;
+  bool used_ = false;  // something was added
   std::atomic<std::size_t> waiting_bytes_{0};
   std::atomic<std::uint64_t> size_bytes_{0};
   std::atomic<bool> failed_{false};

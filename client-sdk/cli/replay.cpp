@@ -10,6 +10,7 @@
 #include "mcap/reader.hpp"
 #include "protocol/rendezvous.hpp"
 #include "protocol/serialized.hpp"
+#include "protocol/whole_file.hpp"
 #include "recorded_surgeon.hpp"
 
 namespace suture::cli {
@@ -144,6 +145,10 @@ int play(const ReplayArguments& arguments) {
 }
 
 int write_surgeon(const ReplayArguments& arguments) {
+  if (same_file(arguments.file, arguments.surgeon)) {
+    throw Error(ErrorCode::kBadInput, arguments.surgeon + ": is the recording",
+                "give --surgeon a file of its own");
+  }
   mcap::Reader reader(arguments.file);
   const RecordedSurgeon recorded = surgeon_of(reader, arguments.epoch);
   say_damage(reader);

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <numbers>
@@ -117,6 +118,38 @@ TEST(RunCommand, RefusesACheckpointThatIsNotItsOwn) {
   bytes[bytes.size() / 2] = static_cast<char>(bytes[bytes.size() / 2] ^ 1);
   std::ofstream(file, std::ios::binary) << bytes;
   refused(with({"--from", file}), "damaged");
+}
+
+TEST(RunCommand, RefusesACheckpointThatItCouldNotWriteBeforeTheRun) {
+  const testing::TemporaryFolder folder;
+  const std::string out = folder.path("out"), surgeon = folder.path("surgeon.csv");
+  std::filesystem::copy_file(kOneBite, surgeon);
+  const std::string before = testing::read_file(surgeon);
+  for (const std::string& file : {folder.path("none/a.checkpoint"), surgeon, out + "/summary.json",
+                                  out + "/../out/steps.csv", kScene}) {
+    const auto result =
+        run({kScene, "--surgeon", surgeon, "--out", out, "--until", "0.2", "--checkpoint", file});
+    EXPECT_EQ(result.exit_code, 1) << file;
+    EXPECT_NE(result.err.find("--checkpoint"), std::string::npos) << result.err;
+    EXPECT_FALSE(std::filesystem::exists(out + "/steps.csv")) << "it began with " << file;
+  }
+  EXPECT_EQ(testing::read_file(surgeon), before);
+}
+
+TEST(RunCommand, GoesOnWithAllItsFilesOrLeavesThemAsTheyWere) {
+  const testing::TemporaryFolder folder;
+  const std::string out = folder.path("out"), file = folder.path("a.checkpoint");
+  const std::vector<std::string> play{kScene, "--surgeon", kOneBite, "--out", out};
+  const auto with = [&](std::vector<std::string> more) {
+    more.insert(more.begin(), play.begin(), play.end());
+    return run(more);
+  };
+  ASSERT_EQ(with({"--until", "0.1", "--checkpoint", file}).exit_code, 0);
+  ASSERT_EQ(with({"--until", "0.3", "--from", file}).exit_code, 0);
+  const std::string steps = testing::read_file(out + "/steps.csv");
+  std::filesystem::resize_file(out + "/threads.csv", 3);
+  EXPECT_EQ(with({"--from", file}).exit_code, 1);
+  EXPECT_EQ(testing::read_file(out + "/steps.csv"), steps);
 }
 
 /// The needle goes in and out of both walls at any rate, at the puncture force or a substep beyond

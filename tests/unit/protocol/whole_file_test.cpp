@@ -67,5 +67,15 @@ TEST_F(WholeFileTest, WhatCannotBeWrittenIsKnownBeforeTheWork) {
   EXPECT_EQ(read_file(path_), "before");
 }
 
+TEST_F(WholeFileTest, SameFileSeesThroughPathsAndLinks) {
+  fs::create_symlink(path_, folder_.path("link"));
+  EXPECT_TRUE(same_file(path_, folder_.path("link")));
+  EXPECT_TRUE(same_file(path_, folder_.path("./file")));
+  EXPECT_TRUE(same_file(folder_.path("new"), folder_.path("./new"))) << "neither is there yet";
+  EXPECT_FALSE(same_file(path_, folder_.path("new")));
+  EXPECT_FALSE(same_file("", ""));
+  EXPECT_FALSE(same_file("/dev/null", "/dev/null"));
+}
+
 }  // namespace
 }  // namespace suture
