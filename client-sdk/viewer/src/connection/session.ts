@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // One server: connects, comes back after a loss, subscribes to what the page shows, decodes it, and
 // carries the hand's poses and the page's commands. Runs in the worker.
-import { HandDevice, kPosePeriod_ms, type Clock, type HandOutput } from "../hand/hand_device";
+import { firstReport, HandDevice, kPosePeriod_ms, type Clock, type HandOutput } from "../hand/hand_device";
 import { Codec } from "../protocol/codec";
 import {
   clientMessageData, kSubprotocols, parseMessageData, parseServerText, type Channel,
@@ -228,7 +228,8 @@ export class Session implements HandOutput {
 
   #takeHand(tool: string, start: Extract<ToWorker, { type: "hand_take" }>): void {
     if (this.#hand) this.#releaseHand();
-    if (this.#socket?.readyState !== WebSocket.OPEN) return;
+    if (this.#socket?.readyState !== WebSocket.OPEN)
+      return this.report({ ...firstReport(tool, "none", start.pose, start.jaw), why: "there is no connection" });
     this.#hand = new HandDevice(tool, start.pose, start.jaw, this.#poseSequence, this.#clock, this);
     this.#hand.epoch = this.#epoch;
     this.#watchForces(true);

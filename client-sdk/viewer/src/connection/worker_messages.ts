@@ -16,6 +16,8 @@ export type LeaseState = "none" | "asking" | "held" | "refused";
 export interface HandReport {
   tool: string;
   lease: LeaseState;
+  /** Where the worker ended the hold by itself: why, for people. */
+  why?: string;
   pose: Pose;
   jaw: number;
   force: Vec3;

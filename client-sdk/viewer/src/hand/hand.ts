@@ -103,7 +103,7 @@ export class Hand {
 
   onReport(report: HandReport): void {
     if (report.tool !== this.#tool) return;
-    if (report.lease === "none") return this.release("the page was busy for too long");
+    if (report.lease === "none") return this.release(report.why ?? "the page was busy for too long");
     this.#report = report;
     this.onChange();
   }

@@ -30,6 +30,14 @@ export interface HandOutput {
   report(report: HandReport): void;
 }
 
+/** Returns a report of a tool of which nothing was heard yet. */
+export function firstReport(tool: string, lease: LeaseState, pose: Pose, jaw: number): HandReport {
+  return {
+    tool, lease, pose, jaw, force: [0, 0, 0], torque: [0, 0, 0], state: ToolState.Idle, faults: 0,
+    roundTripMs: undefined, poseRateHz: 0,
+  };
+}
+
 export class HandDevice {
   readonly #tool: string;
   readonly #id: bigint;
@@ -55,10 +63,7 @@ export class HandDevice {
     this.#sequence = sequence;
     this.#startedMs = this.#heardMs = clock.nowMs();
     this.#pacer = new PosePacer(pose, jaw, this.#startedMs / 1000);
-    this.#report = {
-      tool, lease: "asking", pose, jaw, force: [0, 0, 0], torque: [0, 0, 0], state: ToolState.Idle, faults: 0,
-      roundTripMs: undefined, poseRateHz: 0,
-    };
+    this.#report = firstReport(tool, "asking", pose, jaw);
     output.sendProfile(tool);
   }
 
