@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { test } from "node:test";
+import { test, type TestContext } from "node:test";
 import type { Link } from "../src/connection/link";
 import { Session } from "../src/connection/session";
 import type { FromWorker, HandReport } from "../src/connection/worker_messages";
 import { Hand, type HandWorld } from "../src/hand/hand";
 import type { Pose } from "../src/maths/vector";
+import { idl } from "./idl";
 
 const kHome: Pose = { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
 
@@ -50,6 +51,59 @@ test("a hold that is asked for without a connection ends at once, and says why",
   const { take, reports } = session();
   take("driver");
   assert.deepEqual(reports().map(({ tool, lease, why }) => [tool, lease, why]), [["driver", "none", "there is no connection"]]);
+});
+
+/** Returns what runs each `setInterval` so many times. */
+function standInBeats(context: TestContext): (count: number) => void {
+  const { setInterval, clearInterval } = globalThis;
+  const running = new Map<number, () => void>();
+  let last = 0;
+  Object.assign(globalThis, {
+    setInterval: (beat: () => void) => (running.set(++last, beat), last),
+    clearInterval: (id: number) => running.delete(id),
+  });
+  context.after(() => void Object.assign(globalThis, { setInterval, clearInterval }));
+  return (count) => {
+    for (let i = 0; i < count; ++i) for (const beat of [...running.values()]) beat();
+  };
+}
+
+/** Channel 1 takes poses, 2 profiles: how many went to each. */
+const published = (socket: Socket) => [1, 2].map((channel) =>
+  socket.sent.filter((each) => typeof each !== "string" && each[1] === channel).length);
+
+test("a tool that the token does not allow is let go at the first word, which the page is told once", (context) => {
+  const beats = standInBeats(context);
+  const { take, made, socket, reports, notices, pass } = session();
+  const say = (message: object) => socket.onmessage({ data: JSON.stringify(message) });
+  const refuse = (topic: string) => say({ op: "status", level: 2, message: `${topic}: your token does not allow to drive that tool` });
+  socket.open();
+  say({ op: "advertise", channels: [{ id: 1, topic: "suture/status", encoding: "cdr", schemaEncoding: "omgidl", schemaName: "suture::v1::Status", schema: idl() }] });
+  take("driver");
+  beats(2);
+  assert.deepEqual(published(socket), [2, 1]);
+  refuse("suture/tool/device");
+  refuse("suture/tool/pose");
+  made.handle({ type: "hand_release" }); // the page's answer to the report
+  beats(100);
+  assert.deepEqual(published(socket), [2, 1], "no pose more, and no goodbye");
+  const why = "your token does not allow to drive it";
+  assert.deepEqual(reports().filter((each) => each.lease === "none").map((each) => each.why), [why]);
+  assert.deepEqual(notices(), []);
+
+  // Asked again at once the server is spared; later its rights may be others.
+  take("driver");
+  beats(2);
+  assert.deepEqual(published(socket), [2, 1]);
+  assert.equal(reports().at(-1)?.why, why);
+  pass(10_000);
+  take("driver");
+  assert.deepEqual(published(socket), [2, 2]);
+
+  say({ op: "status", level: 2, message: "something else" });
+  assert.deepEqual(notices(), ["something else"]);
+  made.handle({ type: "hand_release" });
+  assert.deepEqual(published(socket), [3, 2], "a hold that stood ends with a goodbye");
 });
 
 test("the page lets go for the reason that its worker gives", () => {

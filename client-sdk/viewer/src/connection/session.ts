@@ -27,6 +27,11 @@ const kPublished = [
 
 const kNobody = new Uint8Array(16);
 const kReportPeriod_ms = 24;
+/** How a server (server/gateway/hands.cpp) ends its word on each profile and pose that the page's token does not allow. */
+const kMayNotDrive = "your token does not allow to drive that tool";
+const kNotAllowed = "your token does not allow to drive it";
+/** A tool that was refused is not asked for again so soon: each pose until the answer is a fault, of which a server takes 100. */
+const kRefused_ms = 10_000;
 
 type Post = (message: FromWorker, transfer?: ArrayBuffer[]) => void;
 
@@ -46,6 +51,8 @@ export class Session implements HandOutput {
   #hand: HandDevice | undefined;
   #handTimer: ReturnType<typeof setInterval> | undefined;
   #reportedMs = 0;
+  /** When the server refused which tool. */
+  #refusedMs = new Map<string, number>();
   #poseSequence = 0n;
   #epoch = 0n;
   #request = 0n;
@@ -102,6 +109,7 @@ export class Session implements HandOutput {
     this.#socket = undefined;
     this.#channels.clear();
     this.#subscribed.clear();
+    this.#refusedMs.clear();
     this.#dropHand();
     const delayMs = backoffMs(this.#attempt++, Math.random());
     const attempt = this.#attempt;
@@ -133,7 +141,9 @@ export class Session implements HandOutput {
     if (message?.op === "unadvertise")
       for (const [topic, channel] of this.#channels)
         if (message.channelIds.includes(channel.id)) this.#channels.delete(topic);
-    if (message?.op === "status" && message.level > 0) this.#post({ type: "notice", text: message.message });
+    if (message?.op !== "status" || message.level === 0) return;
+    if (message.message.endsWith(kMayNotDrive)) this.#onMayNotDrive();
+    else this.#post({ type: "notice", text: message.message });
   }
 
   #onChannels(channels: Channel[]): void {
@@ -228,12 +238,22 @@ export class Session implements HandOutput {
 
   #takeHand(tool: string, start: Extract<ToWorker, { type: "hand_take" }>): void {
     if (this.#hand) this.#releaseHand();
-    if (this.#socket?.readyState !== WebSocket.OPEN)
-      return this.report({ ...firstReport(tool, "none", start.pose, start.jaw), why: "there is no connection" });
+    const end = (why: string) => this.report({ ...firstReport(tool, "none", start.pose, start.jaw), why });
+    if (this.#socket?.readyState !== WebSocket.OPEN) return end("there is no connection");
+    if (this.#clock.nowMs() - (this.#refusedMs.get(tool) ?? -Infinity) < kRefused_ms) return end(kNotAllowed);
     this.#hand = new HandDevice(tool, start.pose, start.jaw, this.#poseSequence, this.#clock, this);
     this.#hand.epoch = this.#epoch;
     this.#watchForces(true);
     this.#handTimer = setInterval(() => this.#handTick(), kPosePeriod_ms);
+  }
+
+  /** The profile and the first pose are refused with a word each, poses on the way with none: the first ends the hold. */
+  #onMayNotDrive(): void {
+    if (!this.#hand) return;
+    this.#refusedMs.set(this.#hand.tool, this.#clock.nowMs());
+    this.#hand.end(kNotAllowed); // a goodbye would be refused as well
+    this.#watchForces(false);
+    this.#dropHand();
   }
 
   #handTick(): void {

@@ -113,7 +113,12 @@ export class HandDevice {
   goodbye(): void {
     const { pose, jaw } = this.#report;
     this.#send(POSE_IN_WORLD | POSE_GOODBYE, pose, jaw, [0, 0, 0], [0, 0, 0]);
-    this.#report = { ...this.#report, lease: "none", force: [0, 0, 0], torque: [0, 0, 0] };
+    this.end();
+  }
+
+  /** Tells that the hold ended, without a word to the server; `why` for people. */
+  end(why?: string): void {
+    this.#report = { ...this.#report, lease: "none", why, force: [0, 0, 0], torque: [0, 0, 0] };
     this.tell();
   }
 
