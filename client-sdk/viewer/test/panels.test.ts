@@ -3,9 +3,10 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Hand } from "../src/hand/hand";
 import { HeldKeys } from "../src/hand/held_keys";
+import { Events } from "../src/panels/events";
 import { HandPanel } from "../src/panels/hand_panel";
 import { QualityPanel } from "../src/panels/status";
-import type { Quality, ToolView } from "../src/protocol/messages";
+import { EventKind, type Quality, type ServerEvent, type ToolView } from "../src/protocol/messages";
 import { standInPage } from "./page";
 
 standInPage();
@@ -38,4 +39,15 @@ test("the row of a tool goes with its scene, and with it a hold", () => {
   assert.deepEqual(ended, ["the scene has no such tool"]);
   panel.setTools([row("probe")], ["probe"]);
   assert.deepEqual(panel.tools, ["probe"]);
+});
+
+test("the newest 2000 events are known again, and no more are kept", () => {
+  const events = new Events();
+  const push = (i: number) => events.push({
+    epoch: 1n, sequence_number: BigInt(i), stamp_ns: 1n, kind: EventKind.Grasp, simulation_time_s: 0, subject: "driver", object: "needle",
+    position_m: new Float64Array(3), value: 0, unit: "", faults: 0, text: "",
+  } satisfies ServerEvent);
+  for (let i = 0; i <= 2000; ++i) assert.equal(push(i), true);
+  assert.deepEqual([1, 1000, 2000].map(push), [false, false, false]);
+  assert.equal(push(0), true, "forgotten");
 });

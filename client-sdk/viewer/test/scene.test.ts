@@ -120,6 +120,7 @@ test("plots keep the last twenty seconds, figures of one moment in one row", () 
 test("a rate is of the last second", () => {
   const rate = new Rate();
   for (let i = 0; i < 200; ++i) rate.add(i * 20, 10);
+  assert.equal(rate.kept, 51, "without having been asked");
   assert.deepEqual(rate.at(199 * 20), { perSecond: 51, bytesPerSecond: 510 });
   assert.equal(rate.at(1e9).perSecond, 0);
 });

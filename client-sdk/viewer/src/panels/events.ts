@@ -3,6 +3,8 @@ import { EventKind, faultNames, type ServerEvent } from "../protocol/messages";
 import { card, h } from "./dom";
 
 const kMost = 200;
+/** Events that are known again; a server repeats fewer. */
+const kRemembered = 2000;
 
 const kTexts: Record<EventKind, string> = {
   [EventKind.Grasp]: "grasps", [EventKind.Release]: "lets go of", [EventKind.GripSlip]: "slips on",
@@ -61,6 +63,7 @@ export class Events {
     const key = `${event.epoch}/${event.sequence_number}/${event.stamp_ns}`;
     if (this.#seen.has(key)) return false;
     this.#seen.add(key);
+    if (this.#seen.size > kRemembered) this.#seen.delete(this.#seen.values().next().value!);
     const joint = joined(this.#newest, event);
     if (joint) this.#list.firstElementChild!.remove();
     this.#newest = event = joint ?? event;

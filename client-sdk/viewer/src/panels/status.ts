@@ -11,14 +11,23 @@ export class Rate {
   add(now_ms: number, bytes: number): void {
     this.#times.push(now_ms);
     this.#bytes.push(bytes);
+    this.#drop(now_ms); // a page that is hidden adds for days and never asks
+  }
+  get kept(): number {
+    return this.#times.length;
   }
   /** Returns messages and bytes a second. */
   at(now_ms: number): { perSecond: number; bytesPerSecond: number } {
+    this.#drop(now_ms);
+    return { perSecond: this.#times.length, bytesPerSecond: this.#bytes.reduce((a, b) => a + b, 0) };
+  }
+
+  #drop(now_ms: number): void {
     let drop = 0;
     while (drop < this.#times.length && now_ms - this.#times[drop]! > 1000) ++drop;
+    if (drop === 0) return;
     this.#times.splice(0, drop);
     this.#bytes.splice(0, drop);
-    return { perSecond: this.#times.length, bytesPerSecond: this.#bytes.reduce((a, b) => a + b, 0) };
   }
 }
 
