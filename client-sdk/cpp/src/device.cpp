@@ -28,6 +28,8 @@ constexpr int kTickPriority = 60;  // below the receive thread, which feeds it
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 // Two forces within the limits differ by twice the largest at most: long enough to fade that.
 constexpr std::int64_t kHandoverNs = 60'000'000;
+// Longer than a tick is ever late: a device that asked for no force since has stopped, and let go.
+constexpr std::int64_t kRestNs = 500'000'000;
 constexpr std::int64_t kHandStaleNs = 15'000'000;    // where a server does not say
 constexpr std::int64_t kRenderedPeriodNs = 950'000;  // at most 1 kHz, with room for jitter
 
@@ -492,8 +494,8 @@ Force Device::State::feel(const Hand& from, std::int64_t taken_ns, std::int64_t 
   if (from.stop) stop_asked = true;
   if (newest.force.state == ForceState::kStopped && !from.stop) stop_asked = false;
   if (!stop_asked) stop_since_ns = now_ns;
-  // Who asked for no force so long was shown none.
-  if (now_ns - last_ns > kHandoverNs) last = {};
+  // Who asked for no force so long shows none.
+  if (now_ns - last_ns > kRestNs) last = {};
   const Force answer = guard.show(newest.force, newest.at_ns, stop_asked, now_ns);
   const Force force = handed_over(shown(answer, from, taken_ns, now_ns), now_ns);
   if (shown_by == Render::kDevice) tell_rendered(force, now_ns);
