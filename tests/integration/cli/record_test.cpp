@@ -214,7 +214,7 @@ TEST_F(Record, AFullDiskEndsItWithAWordAndAFileThatReads) {
   EXPECT_THAT(recorded.damage, HasSubstr("closing records")) << "a chunk was cut";
 }
 
-TEST_F(Record, KeepsAFileThatExists) {
+TEST_F(Record, KeepsAFileThatExistsUntilItIsToldNotToAndSomethingComes) {
   folder_.write("session.mcap", "precious");
   Process recorder(command({"record", file()}));
   EXPECT_EQ(recorder.wait(), 2);
@@ -224,6 +224,9 @@ TEST_F(Record, KeepsAFileThatExists) {
   forced.read_until("no server answers yet");
   forced.send(SIGINT);
   EXPECT_EQ(forced.wait(), 0) << forced.output();
+  EXPECT_THAT(forced.output(), HasSubstr("session.mcap is as it was"));
+  EXPECT_EQ(sutured::testing::read_file(file()), "precious");
+  record_one_play(file(), {"--force"});
   EXPECT_EQ(read_recording(file()).damage, "");
 }
 
