@@ -138,9 +138,12 @@ bool TableReader::boolean(std::string_view key, bool fallback) {
 std::string TableReader::text(std::string_view key, std::string fallback) {
   const toml::node* node = find(key);
   if (node == nullptr) return fallback;
-  if (!node->is_string()) wrong_type(key, "a text in quotes");
-  std::string text = node->value_exact<std::string>().value_or(fallback);
-  if (!text.empty() || !node->is_string()) return text;
+  if (!node->is_string()) {
+    wrong_type(key, "a text in quotes");
+    return fallback;
+  }
+  std::string text = *node->value_exact<std::string>();
+  if (!text.empty()) return text;
   fault(key, std::string(key) + " of " + title_ + " is an empty text", "write what it names");
   return fallback;
 }

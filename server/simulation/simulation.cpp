@@ -94,7 +94,8 @@ struct Simulation::State {
     needle_states.resize(needles.size());
     thread_states.resize(scene.threads.size());
     mobilities.resize(needles.size());
-    rows_before.reserve(kRowsReserved, 8 * kRowsReserved);
+    for (constraints::ConstraintRows* each : {&rows, &rows_before})
+      each->reserve(kRowsReserved, 8 * kRowsReserved);
     events.reserve(64);
     pending_events.reserve(64);
     clear_world_changed();
@@ -124,7 +125,6 @@ struct Simulation::State {
   int inverted_told = 0;
 
   constraints::ConstraintRows rows, rows_before;
-  bool held = false;  ///< the rows have the coefficients of those before
   constraints::ComplementaritySolver solver;
   ResponseBuilder response_builder;
   std::vector<constraints::NeedleMobility> mobilities;
@@ -182,14 +182,15 @@ struct Simulation::State {
     inverted_told = count;
   }
 
-  void build_rows() {
+  /// Returns whether the rows have the coefficients of those before.
+  bool build_rows() {
     std::swap(rows, rows_before);
     rows.clear();
     for (NeedleBody& needle : needles) needle.add_rows(tissue, rows);
     for (ToolBody& tool : tools) tool.add_rows(tissue, needles, kReach_m, rows);
     for (ThreadBody& thread : threads) thread.add_rows(needles, tools, rows);
     if (contact) contact->add_rows(rows);
-    held = constraints::hold_coefficients(rows, rows_before, tissue.positions_m());
+    return constraints::hold_coefficients(rows, rows_before, tissue.positions_m());
   }
 
   /// Named rows start as they ended the last solve, all others without force.
@@ -208,7 +209,7 @@ struct Simulation::State {
     std::sort(warm.begin(), warm.end());
   }
 
-  void solve() {
+  void solve(bool held) {
     const auto start = Clock::now();
     for (std::size_t i = 0; i < needles.size(); ++i) mobilities[i] = needles[i].mobility();
     const auto& w = tissue.compliance().assemble(rows, mobilities, held);
@@ -267,8 +268,7 @@ struct Simulation::State {
       report.contact_ns += since(start);
     }
     for (int revision = 0;; ++revision) {
-      build_rows();
-      solve();
+      solve(build_rows());
       const bool may_revise = revision < kRevisionsMax;
       bool good = true;
       for (NeedleBody& needle : needles) good = needle.read(rows, lambda, may_revise) && good;
@@ -469,13 +469,12 @@ struct Simulation::State {
   }
 
   void serialize(Archive& archive) {
-    // Given by the scene: scene_in. Of one step: moving, touching_now, rows_before, held, solver,
-    // response_builder,
-    // mobilities, bounds, target, states, last_solve.
+    // Given by the scene: scene_in. Of one step: moving, touching_now, rows_before, solver,
+    // response_builder, mobilities, bounds, target, states, last_solve.
     auto& [scene_in, tissue_, needles_, tools_, threads_, contact_, inputs_, moving_, responses_,
            needle_states_, thread_states_, contact_points_, touching_, touching_now_, events_,
            pending_events_, report_, time, base, period, steps, settled_, inverted_told_, rows_,
-           rows_before_, held_, solver_, response_builder_, mobilities_, bounds_, target_, lambda_,
+           rows_before_, solver_, response_builder_, mobilities_, bounds_, target_, lambda_,
            states_, warm_, last_solve_] = *this;
     archive(tissue_);
     archive.fixed(needles_);
