@@ -69,7 +69,7 @@ Wrench limit_slew(const Wrench& wanted, const Wrench& last, std::int64_t elapsed
 void SwapBlend::Fade::add_to(Wrench& wrench, std::int64_t now_ns, double sign) const noexcept {
   const double left = freshness(now_ns, start_ns, end_ns);
   if (left == 0.0) return;
-  const double beta = sign * left * left * (3.0 - 2.0 * left);
+  const double beta = sign * smoothstep(left);
   for (int i = 0; i < 3; ++i) {
     wrench.force_n[i] += beta * offset.force_n[i];
     wrench.torque_nm[i] += beta * offset.torque_nm[i];

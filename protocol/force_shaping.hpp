@@ -39,6 +39,9 @@ struct ForceLimits {
 [[nodiscard]] Wrench limit_slew(const Wrench& wanted, const Wrench& last, std::int64_t elapsed_ns,
                                 const ForceLimits& limits, bool& limited) noexcept;
 
+/// Returns 3 x² − 2 x³, for x ∈ [0, 1]: a ramp that starts and ends without a kink.
+[[nodiscard]] constexpr double smoothstep(double x) noexcept { return x * x * (3.0 - 2.0 * x); }
+
 /// Takes the step out of a change of model: at the swap the difference between the two
 /// models at the same pose is kept, and fades within a few milliseconds.
 ///
@@ -88,8 +91,7 @@ class SwapBlend {
 
 /// A gain that falls with its ceiling and rises by a ramp of its own.
 ///
-/// `phase` runs linearly in [0, 1]; the gain is its smoothstep, so that a ramp starts and
-/// ends without a kink.
+/// `phase` runs linearly in [0, 1]; the gain is its smoothstep.
 class RampedGain {
  public:
   explicit RampedGain(std::int64_t rise_ns) noexcept : rise_ns_(rise_ns) {}
@@ -97,7 +99,7 @@ class RampedGain {
   /// Moves on by `elapsed_ns` under `ceiling` ∈ [0, 1] and returns the gain.
   double update(double ceiling, std::int64_t elapsed_ns) noexcept;
   [[nodiscard]] double phase() const noexcept { return phase_; }
-  [[nodiscard]] double gain() const noexcept { return phase_ * phase_ * (3.0 - 2.0 * phase_); }
+  [[nodiscard]] double gain() const noexcept { return smoothstep(phase_); }
   void clear() noexcept { phase_ = 0.0; }
 
  private:

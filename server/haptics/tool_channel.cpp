@@ -354,7 +354,7 @@ ForceSample ToolChannel::serve(const PoseSample& sample, std::int64_t now_ns) no
     // Another hand: nothing of what the last one felt belongs to it.
     writer_ = sample.writer;
     stage_ = Stage::kSettling;
-    has_previous_ = clutched_ = jaw_waits_ = false;
+    has_previous_ = clutched_ = apart_ = jaw_waits_ = false;
     good_since_ns_ = now_ns;
     latched_ = 0;
     last_ = {};
@@ -372,6 +372,7 @@ ForceSample ToolChannel::serve(const PoseSample& sample, std::int64_t now_ns) no
     note(*fault);
     begin_fading(now_ns);
     good_since_ns_ = now_ns;
+    apart_ |= has_previous_;
   }
   // A jump is a good pose in itself: the next ones are measured from there.
   if (!fault || *fault == Fault::kPoseJump) accept(sample, now_ns);
@@ -379,7 +380,10 @@ ForceSample ToolChannel::serve(const PoseSample& sample, std::int64_t now_ns) no
 }
 
 void ToolChannel::accept(const PoseSample& sample, std::int64_t now_ns) noexcept {
-  if (has_previous_ && now_ns - good_ns_ >= pose_zero_after_ns()) good_since_ns_ = now_ns;
+  if (has_previous_ && now_ns - good_ns_ >= pose_zero_after_ns()) {
+    good_since_ns_ = now_ns;
+    apart_ = true;
+  }
   if (sample.frame != frame_ && stage_ == Stage::kSettling) workspace_.reset();
   device_pose_ = sample.pose;
   good_ns_ = now_ns;
@@ -393,15 +397,16 @@ void ToolChannel::accept(const PoseSample& sample, std::int64_t now_ns) noexcept
   if (stage_ == Stage::kFading) {
     // The tool stays where it is until the hand feels nothing.
     clutched_ |= clutch;
+    apart_ = true;
     return;
   }
   if (clutch) {
-    clutched_ = true;
+    clutched_ = apart_ = true;
     return;
   }
   frame_ = sample.frame;
-  if (clutched_) {
-    clutched_ = false;
+  clutched_ = false;
+  if (std::exchange(apart_, false)) {
     workspace_.engage(sample.pose, pose_);
     good_since_ns_ = now_ns;
   }
@@ -418,7 +423,7 @@ void ToolChannel::stay_where_placed() noexcept {
   if (!place) return;
   pose_ = place->pose;
   jaw_ = place->jaw;
-  clutched_ = jaw_waits_ = true;
+  clutched_ = apart_ = jaw_waits_ = true;
 }
 
 void ToolChannel::publish_target() noexcept {

@@ -25,6 +25,11 @@
 // kFading: the tool's pose is frozen and the gain falls to zero within 30 ms.
 // kSettling: zero force. Poses move the tool again, unless clutched.
 //
+// A hand moves on while its tool stands still: in a fade, a clutch or a pause, or while its poses
+// are lost or refused. The tool does not follow to where the hand is then, through tissue and
+// against other hands, but stays, and the device engages anew with an offset. Poses in the world's
+// frame say where the tool is, and have none.
+//
 // A device may render the models itself. The channel then serves it all the same, so that
 // either side can take over at any time, but reports what the device says that it showed.
 //
@@ -391,6 +396,7 @@ class ToolChannel {
   double jaw_ = 0.0;
   bool has_previous_ = false;  // device_pose_ and good_ns_ are of this engagement
   bool clutched_ = false;
+  bool apart_ = false;              // hand and tool: the next pose that moves it sets an offset
   bool jaw_waits_ = false;          // jaw_ is that of a place, until the hand's is on the same side
   bool supervised_ = false;         // the last tick was the supervisor's
   std::int64_t good_ns_ = 0;        // when the last good pose came

@@ -534,9 +534,7 @@ Force Device::State::shown(const Force& answer, const Hand& from, std::int64_t t
 Force Device::State::handed_over(const Force& force, std::int64_t now_ns) noexcept {
   if (!handing_over) return force;
   Wrench eased_to = handover.apply({force.force_n, force.torque_nm}, now_ns);
-  const double left = std::max(0.0, 1.0 - static_cast<double>(now_ns - stop_since_ns) /
-                                              static_cast<double>(ForceGuard::kFadeNs));
-  const double kept = left * left * (3.0 - 2.0 * left);
+  const double kept = smoothstep(freshness(now_ns - stop_since_ns, 0, ForceGuard::kFadeNs));
   for (std::size_t i = 0; i < 3; ++i) {
     eased_to.force_n[i] = force.force_n[i] + kept * (eased_to.force_n[i] - force.force_n[i]);
     eased_to.torque_nm[i] =

@@ -118,8 +118,9 @@ INSTANTIATE_TEST_SUITE_P(
                   }}),
     [](const auto& fault) { return std::string(fault.param.name); });
 
-TEST(ToolChannel, FollowsAHandThatJumpedToItsNewPlace) {
+TEST(ToolChannel, FollowsAHandInTheWorldThatJumpedToItsNewPlace) {
   Rig rig;
+  rig.spoil = [](PoseSample& pose) { pose.frame = Frame::kWorld; };
   rig.engage();
   rig.hand.position_m[0] = -0.02;
   const std::int64_t last_good_ns = rig.now;

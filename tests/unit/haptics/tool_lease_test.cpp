@@ -295,6 +295,47 @@ TEST(ToolChannel, EngagesFromThereWithTheFirstDeviceToo) {
   EXPECT_NEAR(rig.channel().target().pose.position_m[0], -0.02, 1e-12);
 }
 
+/// A link that was down, poses that were refused, a stop: the hand moved on meanwhile.
+TEST(ToolChannel, KeepsTheToolInPlaceWhereTheHandWentOnWithoutIt) {
+  const auto expect_offset = [](const char* what, auto&& begin, auto&& end) {
+    SCOPED_TRACE(what);
+    Rig rig;
+    rig.engage();
+    begin(rig);
+    rig.run(100);
+    rig.hand.position_m[0] += 0.03;
+    rig.run(100);
+    end(rig);
+    rig.run(100);
+    EXPECT_NEAR(rig.channel().target().pose.position_m[0], -0.005, 1e-12);
+    rig.hand.position_m[0] += 0.001;
+    rig.run(1);
+    EXPECT_NEAR(rig.channel().target().pose.position_m[0], -0.004, 1e-12);
+    rig.expect_recovery(0.4);
+  };
+  expect_offset(
+      "lost", [](Rig& rig) { rig.sends = false; }, [](Rig& rig) { rig.sends = true; });
+  expect_offset(
+      "not finite",
+      [](Rig& rig) { rig.spoil = [](PoseSample& pose) { pose.pose.position_m[1] = NAN; }; },
+      [](Rig& rig) { rig.spoil = nullptr; });
+  expect_offset(
+      "jump", [](Rig&) {}, [](Rig&) {});
+}
+
+/// Where the world's frame is the device's, there is no offset.
+TEST(ToolChannel, FollowsAHandInTheWorldToWhereItIs) {
+  Rig rig;
+  rig.spoil = [](PoseSample& pose) { pose.frame = Frame::kWorld; };
+  rig.engage();
+  rig.sends = false;
+  rig.run(200);
+  rig.sends = true;
+  rig.hand.position_m[0] += 0.003;
+  rig.run(100);
+  EXPECT_NEAR(rig.channel().target().pose.position_m[0], -0.002, 1e-12);
+}
+
 TEST(ToolChannel, EngagesTheClutchWithAnOffsetAndFromZero) {
   scene::Tool tool;
   tool.workspace.clutch_button = 2;
