@@ -111,6 +111,7 @@ struct HapticModel {
   double radius_m = 0.0;  ///< of ξ in that norm, within which no row switches; may be +inf
 
   bool touching = false;  ///< false: the wrench is exactly zero
+  bool holding = false;   ///< the jaw holds something
   /// Of the last step in which the world changed by a contact, puncture, grasp or release; 0: none.
   /// After `sequence` of the model shown before, the force takes the ramp instead of the blend:
   /// also where the model of that very step was overtaken and never shown.

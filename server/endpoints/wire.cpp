@@ -159,6 +159,7 @@ void set_force(suture::v1::ToolForce& wire, const haptics::ForceSample& force) n
   wire.flags = 0;
   if (force.frame == haptics::Frame::kWorld) wire.flags |= suture_v1_FORCE_IN_WORLD;
   if (force.touching) wire.flags |= suture_v1_FORCE_TOUCHING;
+  if (force.holding) wire.flags |= suture_v1_FORCE_HOLDING;
   if (force.engaged) wire.flags |= suture_v1_FORCE_ENGAGED;
   if (force.renders_itself) wire.flags |= suture_v1_FORCE_RENDER_DEVICE;
   if (force.from_supervisor) wire.flags |= suture_v1_FORCE_FROM_SUPERVISOR;
@@ -184,6 +185,7 @@ void set_model(suture::v1::HapticModel& wire, const haptics::PublishedModel& pub
   wire.simulation_time_s = published.time_s;
   wire.flags = 0;
   if (model.touching) wire.flags |= suture_v1_MODEL_TOUCHING;
+  if (model.holding) wire.flags |= suture_v1_MODEL_HOLDING;
   if (published.engaged) wire.flags |= suture_v1_MODEL_ENGAGED;
   copy(model.reference.position_m, wire.reference_position_m);
   copy(model.reference.orientation_xyzw, wire.reference_orientation_xyzw);

@@ -31,6 +31,7 @@ bool Client::admit() {
   const auto now = std::chrono::steady_clock::now();
   const double elapsed_s = std::chrono::duration<double>(now - refilled_).count();
   refilled_ = now;
+  faults_ = std::max(0.0, faults_ - elapsed_s * kForgottenFaultsPerSecond);
   allowance_ = std::min(allowance_ + elapsed_s * kMessagesPerSecond, kMessagesPerSecond);
   if (allowance_ < 1.0) {
     close(1008, "too many messages a second");
@@ -41,11 +42,12 @@ bool Client::admit() {
 }
 
 // A stream of poses that is wrong in one way is told so once.
-void Client::complain(const std::string& reason) {
-  if (++faults_ >= kFaultsMax) return close(1008, "too many faulty messages; the last: " + reason);
+void Client::complain(const std::string& reason, std::string_view id) {
+  faults_ += 1.0;
+  if (faults_ > kFaultsMax - 1) return close(1008, "too many faulty messages; the last: " + reason);
   if (reason == last_complaint_) return;
   last_complaint_ = reason;
-  outbox_.push(status(StatusLevel::kError, reason));
+  outbox_.push(status(StatusLevel::kError, reason, id));
   wake();
 }
 
@@ -61,8 +63,8 @@ void Client::on_binary(std::span<const std::byte> bytes) {
   const auto channel = publishes_.find(message->channel);
   if (channel == publishes_.end())
     return complain("channel " + std::to_string(message->channel) + " was not advertised");
-  const std::string fault = hands_.publish(channel->second, message->payload, grant_.rights);
-  if (!fault.empty()) complain(channel->second + ": " + fault);
+  const Refusal refusal = hands_.publish(channel->second, message->payload, grant_.rights);
+  if (!refusal.reason.empty()) complain(channel->second + ": " + refusal.reason, refusal.id);
 }
 
 void Client::carry_out(const Subscribe& subscribe) {
@@ -71,8 +73,8 @@ void Client::carry_out(const Subscribe& subscribe) {
       complain("there is no channel " + std::to_string(channel));
     } else if (subscriptions_.contains(subscription)) {
       complain("subscription " + std::to_string(subscription) + " is in use");
-    } else if (subscriptions_.size() >= kSubscriptionsMax) {
-      complain("a client has at most " + std::to_string(kSubscriptionsMax) + " subscriptions");
+    } else if (listens_to(channel)) {
+      complain("channel " + std::to_string(channel) + " is subscribed already");
     } else {
       subscriptions_.emplace(subscription, channel);
       source_.subscribe(channel);

@@ -30,14 +30,14 @@ class ChannelSource {
 
 /// The protocol's state for one connection: what it listens to, what it may send, and what
 /// waits for it. A message that is wrong is answered with a status that says why; whoever
-/// sends `kFaultsMax` of them, or more than `kMessagesPerSecond`, is closed.
+/// sends `kFaultsMax` of them in short order, or more than `kMessagesPerSecond`, is closed.
 ///
 /// Threads: the gateway's.
 class Client : public WebClient {
  public:
-  static constexpr std::size_t kSubscriptionsMax = 256;
   static constexpr std::size_t kChannelsMax = 64;
   static constexpr int kFaultsMax = 100;
+  static constexpr double kForgottenFaultsPerSecond = 1.0;
   /// Poses come at up to 4 kHz; some room for the rest.
   static constexpr double kMessagesPerSecond = 6000.0;
 
@@ -66,7 +66,7 @@ class Client : public WebClient {
   void carry_out(const Unsupported& unsupported);
   void carry_out(const Malformed& malformed);
   [[nodiscard]] bool admit();
-  void complain(const std::string& reason);
+  void complain(const std::string& reason, std::string_view id = {});
   void close(std::uint16_t code, std::string reason);
 
   ChannelSource& source_;
@@ -76,7 +76,7 @@ class Client : public WebClient {
   std::map<std::uint32_t, std::uint32_t> subscriptions_;  // channel by subscription
   std::map<std::uint32_t, std::string> publishes_;        // topic by the client's channel
   std::optional<Close> closing_;
-  int faults_ = 0;
+  double faults_ = 0.0;  // those not forgotten
   std::string last_complaint_;
   double allowance_ = kMessagesPerSecond;
   std::chrono::steady_clock::time_point refilled_ = std::chrono::steady_clock::now();

@@ -120,8 +120,10 @@ std::string advertise(std::span<const Channel> channels) {
   return dump({{"op", "advertise"}, {"channels", std::move(list)}});
 }
 
-std::string status(StatusLevel level, std::string_view message) {
-  return dump({{"op", "status"}, {"level", static_cast<int>(level)}, {"message", message}});
+std::string status(StatusLevel level, std::string_view message, std::string_view id) {
+  Json text{{"op", "status"}, {"level", static_cast<int>(level)}, {"message", message}};
+  if (!id.empty()) text["id"] = id;
+  return dump(text);
 }
 
 std::string message_head(std::uint32_t subscription, std::int64_t time_ns) {

@@ -33,7 +33,10 @@ enum class StatusLevel { kInfo = 0, kWarning = 1, kError = 2 };
 
 [[nodiscard]] std::string server_info(std::string_view name, std::string_view session_id);
 [[nodiscard]] std::string advertise(std::span<const Channel> channels);
-[[nodiscard]] std::string status(StatusLevel level, std::string_view message);
+/// `id` says to programs what `message` says to people; a later status of the same id takes the
+/// place of this one. Empty: none.
+[[nodiscard]] std::string status(StatusLevel level, std::string_view message,
+                                 std::string_view id = {});
 /// Returns the 13 bytes before a sample: opcode, subscription, time in ns.
 [[nodiscard]] std::string message_head(std::uint32_t subscription, std::int64_t time_ns);
 

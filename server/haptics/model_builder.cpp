@@ -60,6 +60,7 @@ void set_rows(suture::HapticModel& model, const CondensedProblem& problem) {
 void fill_model(const simulation::ToolResponse& response, suture::HapticModel& model) {
   model.reference = pose_of(response.reference);
   model.touching = response.touching;
+  model.holding = response.held.kind != simulation::HeldKind::kNothing;
   for (int i = 0; i < 6; ++i) {
     model.slide_twist[i] = response.slide_twist[i];
     model.slide_gradient[i] = response.slide_gradient[i];

@@ -132,7 +132,8 @@ bool ToolChannel::admit(const PoseSample& sample, std::int64_t now_ns) noexcept 
   }
   if (holder != sample.writer) {
     count(counters_.poses_dropped);
-    // One event a rival, not one a pose.
+    // One event a rival, not one a pose; a goodbye of who has no lease asks for nothing.
+    if (sample.goodbye) return false;
     if (!was_refused_) count(counters_.faults[static_cast<unsigned>(Fault::kToolInUse)]);
     was_refused_ = true;
     return false;
@@ -639,6 +640,7 @@ ForceSample ToolChannel::render(std::int64_t now_ns, bool from_supervisor) noexc
   force.state = state();
   force.faults = latched_ | ongoing_;
   force.touching = has_model_ && models_.front().model.touching;
+  force.holding = has_model_ && models_.front().model.holding;
   force.engaged = engaged && !clutched_ && stage_ != Stage::kFading;
   force.from_supervisor = from_supervisor;
   force.renders_itself = renders_itself_;

@@ -143,6 +143,7 @@ struct ForceSample {
   ToolState state = ToolState::kIdle;
   std::uint32_t faults = 0;
   bool touching = false;
+  bool holding = false;
   bool engaged = false;
   bool from_supervisor = false;  ///< true: not an answer to a new pose
   bool renders_itself = false;   ///< echo: the models hold for the device

@@ -125,6 +125,7 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
   model.characteristic_length_m = wire.norm_length_m;
   model.radius_m = wire.radius_m;
   model.touching = (wire.flags & suture_v1_MODEL_TOUCHING) != 0;
+  model.holding = (wire.flags & suture_v1_MODEL_HOLDING) != 0;
   model.rows = static_cast<std::int32_t>(rows);
   model.frozen_rows = static_cast<std::int32_t>(wire.frozen_rows);
   const auto take = [](const auto& sequence, auto* to) {
@@ -360,6 +361,7 @@ Force ModelRenderer::render(const Hand& hand, std::int64_t taken_ns, const Force
   force.model_age_us = static_cast<std::uint32_t>(
       std::clamp<std::int64_t>((now_ns - current.arrived_ns) / 1000, 0, UINT32_MAX));
   force.touching = current.model.touching;
+  force.holding = current.model.holding;
   return force;
 }
 

@@ -76,7 +76,7 @@ test("a tool that the token does not allow is let go at the first word, which th
   const beats = standInBeats(context);
   const { take, made, socket, reports, notices, pass } = session();
   const say = (message: object) => socket.onmessage({ data: JSON.stringify(message) });
-  const refuse = (topic: string) => say({ op: "status", level: 2, message: `${topic}: your token does not allow to drive that tool` });
+  const refuse = (topic: string) => say({ op: "status", level: 2, id: "may-not-drive", message: `${topic}: no` });
   socket.open();
   say({ op: "advertise", channels: [{ id: 1, topic: "suture/status", encoding: "cdr", schemaEncoding: "omgidl", schemaName: "suture::v1::Status", schema: idl() }] });
   take("driver");

@@ -687,8 +687,11 @@ name = "forceps"
   EXPECT_TRUE(holds(""));
   forceps.spoil([](suture::v1::ToolPose& pose) { pose.jaw = 1.0F; });  // it closes
   EXPECT_TRUE(holds("block"));
+  const auto hand_holds = [this] { return (watcher_.last().flags & suture_v1_FORCE_HOLDING) != 0; };
+  EXPECT_TRUE(eventually(hand_holds));
   forceps.spoil(nullptr);
   EXPECT_TRUE(holds(""));
+  EXPECT_TRUE(eventually([&] { return !hand_holds(); }));
   viewer.close();
 }
 

@@ -59,6 +59,12 @@ TEST_F(ModelRendererTest, RendersTheModelInTheWorld) {
   EXPECT_NEAR(force.force_n[0], -1.0, 1e-12);
   EXPECT_EQ(force.state, ForceState::kRendering);
   EXPECT_TRUE(force.touching);
+  EXPECT_FALSE(force.holding);
+}
+
+TEST_F(ModelRendererTest, SaysThatTheJawHoldsSomething) {
+  wire_.flags |= suture_v1_MODEL_HOLDING;
+  EXPECT_TRUE(settle(hand_at(0.01)).holding);
 }
 
 TEST_F(ModelRendererTest, RisesByARampFromZero) {

@@ -41,7 +41,7 @@ TEST(SetForce, EchoesThePoseAndSaysWhatItIs) {
   force.pose_stamp_ns = 99;
   force.state = haptics::ToolState::kRamping;
   force.faults = haptics::fault_bit(haptics::Fault::kPoseJump);
-  force.touching = force.from_supervisor = true;
+  force.touching = force.holding = force.from_supervisor = true;
   force.wrench = {{1, 2, 3}, {4, 5, 6}};
   force.model_age_ns = 2'500'000;
   suture::v1::ToolForce wire{};
@@ -52,7 +52,8 @@ TEST(SetForce, EchoesThePoseAndSaysWhatItIs) {
   EXPECT_EQ(wire.state, suture_v1_TOOL_RAMPING);
   EXPECT_EQ(wire.faults, static_cast<std::uint32_t>(suture_v1_FAULT_POSE_JUMP));
   EXPECT_EQ(wire.flags,
-            static_cast<std::uint32_t>(suture_v1_FORCE_TOUCHING | suture_v1_FORCE_FROM_SUPERVISOR));
+            static_cast<std::uint32_t>(suture_v1_FORCE_TOUCHING | suture_v1_FORCE_HOLDING |
+                                       suture_v1_FORCE_FROM_SUPERVISOR));
   EXPECT_EQ(wire.force_n[2], 3.0);
   EXPECT_EQ(wire.torque_nm[0], 4.0);
   EXPECT_EQ(wire.model_age_us, 2500U);
@@ -65,7 +66,7 @@ TEST(SetModel, LendsExactlyTheRowsInUse) {
   const auto published = std::make_unique<haptics::PublishedModel>();
   suture::HapticModel& model = published->model;
   model.rows = 3;
-  model.touching = true;
+  model.touching = model.holding = true;
   model.period_ns = 4'000'000;
   model.multiplier_max_n[2] = std::numeric_limits<double>::infinity();
   model.bound_row[1] = 2;
@@ -86,7 +87,8 @@ TEST(SetModel, LendsExactlyTheRowsInUse) {
   ASSERT_EQ(wire.bound_slope._length, 3U);
   EXPECT_EQ(suture::span_of(wire.bound_row)[1], 2);
   EXPECT_EQ(suture::span_of(wire.bound_slope)[1], 0.5);
-  EXPECT_EQ(wire.flags, static_cast<std::uint32_t>(suture_v1_MODEL_TOUCHING));
+  EXPECT_EQ(wire.flags,
+            static_cast<std::uint32_t>(suture_v1_MODEL_TOUCHING | suture_v1_MODEL_HOLDING));
   EXPECT_EQ(wire.max_force_n, 2.0);
   EXPECT_EQ(wire.blend_ns, 4'000'000);
   EXPECT_EQ(wire.mapping.motion_scale, 1.0);

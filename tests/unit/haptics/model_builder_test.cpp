@@ -95,11 +95,15 @@ TEST(FillModel, CarriesAResponseUnchanged) {
 
 TEST(FillModel, ForgetsTheRowsOfTheModelBefore) {
   suture::HapticModel model;
-  fill_model(random_response(64, 2), model);
+  ToolResponse before = random_response(64, 2);
+  before.held.kind = simulation::HeldKind::kTissue;
+  fill_model(before, model);
+  EXPECT_TRUE(model.holding);
   ToolResponse none;
   none.touching = true;
   none.bilateral_wrench = none.wrench = Vec6::Unit(1);
   fill_model(none, model);
+  EXPECT_FALSE(model.holding);
   EXPECT_EQ(model.rows, 0);
   EXPECT_EQ(wrench_at(model, Vec6::Zero()), Vec6::Unit(1));
 }

@@ -27,8 +27,8 @@ const kPublished = [
 
 const kNobody = new Uint8Array(16);
 const kReportPeriod_ms = 24;
-/** How a server (server/gateway/hands.cpp) ends its word on each profile and pose that the page's token does not allow. */
-const kMayNotDrive = "your token does not allow to drive that tool";
+/** The id of a server's word (server/gateway/hands.hpp) on a profile or pose that the page's token does not allow. */
+const kMayNotDrive = "may-not-drive";
 const kNotAllowed = "your token does not allow to drive it";
 /** A tool that was refused is not asked for again so soon: each pose until the answer is a fault, of which a server takes 100. */
 const kRefused_ms = 10_000;
@@ -142,7 +142,7 @@ export class Session implements HandOutput {
       for (const [topic, channel] of this.#channels)
         if (message.channelIds.includes(channel.id)) this.#channels.delete(topic);
     if (message?.op !== "status" || message.level === 0) return;
-    if (message.message.endsWith(kMayNotDrive)) this.#onMayNotDrive();
+    if (message.id === kMayNotDrive) this.#onMayNotDrive();
     else this.#post({ type: "notice", text: message.message });
   }
 

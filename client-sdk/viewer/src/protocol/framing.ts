@@ -24,7 +24,7 @@ export type ServerText =
   | { op: "serverInfo"; name: string; capabilities: string[]; sessionId?: string }
   | { op: "advertise"; channels: Channel[] }
   | { op: "unadvertise"; channelIds: number[] }
-  | { op: "status"; level: number; message: string };
+  | { op: "status"; level: number; message: string; id?: string };
 
 export interface MessageData {
   subscriptionId: number;
