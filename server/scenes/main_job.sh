@@ -4,7 +4,7 @@
 # tools over DDS and feel the forces. Leaves what the hands felt in $OUT (plot, log, summary), what became of the
 # tissue in $OUT/scene (final.vtk, summary.json), and ends with 0 if everything did.
 #
-# The page is at HTTP, by default at any free port of this machine.
+# The page is at HTTP, by default at any free port of this machine; HTTP=off: there is none.
 #
 #   BIN=build/release SCENE=…/scene.toml SURGEON=…/surgeon.csv OUT=out/run server/scenes/main_job.sh
 #
@@ -20,11 +20,12 @@ mkdir -p "$OUT"
 server=$!
 trap 'kill -INT $server 2>/dev/null || true; wait $server 2>/dev/null || true' EXIT
 
-until address=$(grep -o 'viewer at .*' "$OUT/server.log"); do
+[ "${HTTP:-}" = off ] && last_word='serving scene .*' || last_word='viewer at .*'
+until says=$(grep -o "$last_word" "$OUT/server.log"); do
   kill -0 $server 2>/dev/null || { echo "the server did not start:"; cat "$OUT/server.log"; exit 1; }
   sleep 0.1
 done
-echo "$address"
+echo "$says"
 echo "viewers and recorders join on DDS domain $((domain + 1)); rates and latencies: suture top --domain $domain"
 # It waits for the server by itself, and says why if none comes. Before the last hand lets go the scene is paused: there is
 # no knot yet, and the suture would open.

@@ -34,6 +34,16 @@ TEST_P(ClosureScene, ClosesAtTheTensionOfItsReadme) {
   EXPECT_EQ(thread.at("slack_m").get<double>(), 0.0);
   // The README gives three digits.
   EXPECT_NEAR(thread.at("tension_n").get<double>(), GetParam().closing_tension_n, 0.0006);
+  // The gap of 1.5 mm is closed all around.
+  const auto& wound = summary.at("wound").at("anastomosis");
+  EXPECT_NEAR(wound.at("gap_at_rest").at("mean_m").get<double>(), 1.5e-3, 1e-9);
+  EXPECT_LT(wound.at("gap").at("mean_m").get<double>(), 5e-5);
+  EXPECT_LT(wound.at("gap").at("max_m").get<double>(), 2e-4);
+  const auto& quality = summary.at("quality").at("suture");
+  EXPECT_EQ(quality.at("gap_m"), wound.at("gap").at("max_m"));
+  EXPECT_EQ(quality.at("bites").size(), static_cast<std::size_t>(GetParam().punctures) / 2);
+  for (const auto& bite : quality.at("bites"))
+    EXPECT_NEAR(bite.at("edge_distance_m").get<double>(), 2e-3, 2e-5) << bite;
   EXPECT_EQ(summary.at("event_counts"), nlohmann::json({{"contact", 1}, {"taut", 1}}));
 }
 

@@ -40,8 +40,9 @@ EOF
 long_run=$((seconds / 6 > 60 ? seconds / 6 : 60))
 stage campaign "$build/tests/soak/sutured_campaign" --seconds $((seconds / 2)) --out "$out"
 stage long_run "$build/tests/soak/sutured_long_run" --seconds $long_run
-stage surgeons "$build/tests/soak/sutured_surgeons" --count 100000 --seconds $((seconds / 8))
+# A thousand in an hour, for as long as they take: seconds are no measure of what was tried.
+stage surgeons "$build/tests/soak/sutured_surgeons" --count $((minutes * 1000 / 60))
 stage packets "$build/tests/soak/packet_attack/sutured_packet_attack" --packets $((seconds * 300))
-stage web "$build/tests/soak/sutured_web_attack" --count $((seconds * 30))
+stage web "$build/tests/soak/sutured_web_attack" --count $((seconds * 30 > 100000 ? seconds * 30 : 100000))
 [ -z "$fuzzers" ] || stage fuzz "$here/../fuzz/all.sh" "$fuzzers" $((seconds / 90))
 exit $failed

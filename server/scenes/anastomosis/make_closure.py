@@ -52,6 +52,12 @@ poisson_ratio = 0.45
 fixed = ["{name}_end"]
 """
 
+WOUND = """
+[[wound]]                        # the quality figures measure the gap between these
+name = "anastomosis"
+edges = [{ tissue = "proximal", group = "proximal_rim" }, { tissue = "distal", group = "distal_rim" }]
+"""
+
 
 def punctures(n):
     """Yields (tissue, point) from the tail to the head."""
@@ -73,6 +79,7 @@ def text(n):
     closed = across - (n // 2 - 1) * SHORTENING[n]
     lines = [HEAD.format(n=n, closed=closed_s, tension=TENSION[n])]
     lines += [TISSUE.format(name=name) for name in OUTER]
+    lines.append(WOUND)
     lines.append('\n[[thread]]\nname = "suture"\nends = "none"\nmodel = "outside"\n'
                  f"length_program_m = [[0.0, {across:.6f}], [{closed_s:.2f}, {closed:.6f}]]\n"
                  "punctures = [\n")

@@ -311,6 +311,34 @@ TEST_P(EnergyIsTheWorkDone, ByAProbeThatPresses) {
   EXPECT_GT(most_j, 1e-7);
 }
 
+/// Less than what pierces, and within the cone of friction: the tip stands where it came down.
+TEST_P(EnergyIsTheWorkDone, ByANeedleWhoseTipPresses) {
+  scene::Scene scene = testing::block_scene();
+  scene.tissues[0].puncture_force_n = 10.0;
+  const Vec3 tail(random_.in(-3e-3, 3e-3), random_.in(-3e-3, 3e-3), 0.0205);
+  scene.needles[0].pose.position_m += tail - Vec3(0.0011, 0.0007, 0.0205);
+  Hands hands(scene);
+  hands.grasp(kDriver, tail);
+  while (hands.force_n(kDriver).norm() < 1e-3) hands.move_by(kDriver, Vec3(0, 0, -1e-5));
+  Books books(hands);
+  const double begun_j = books.stored_j();
+  double most_j = 0.0;
+  for (int leg = 0; leg < 3; ++leg) {
+    const Vec3 way =
+        leg == 1 ? Vec3(2e-5 * random_.direction()) : Vec3(0, 0, leg == 0 ? -2e-4 : 1e-4);
+    for (int i = 0; i < 300; ++i) {
+      hands.at(kDriver).position_m += way / 300.0;
+      books.step();
+    }
+    most_j = std::max(most_j, books.stored_j());
+    EXPECT_NEAR(books.stored_j() - begun_j, books.work_j(), kEnergyTolerance * most_j)
+        << "leg " << leg;
+  }
+  EXPECT_GT(most_j, 1e-7);
+  EXPECT_GT(hands.force_n(kDriver).norm(), 0.01);
+  EXPECT_EQ(hands.count(EventKind::kPuncture), 0);
+}
+
 INSTANTIATE_TEST_SUITE_P(Seeds, EnergyIsTheWorkDone, ::testing::Range(0, 6));
 
 /// Takes a tool round a closed loop in `steps` steps and returns the work of the hand: an ellipse
