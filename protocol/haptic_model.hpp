@@ -249,6 +249,10 @@ class ModelEvaluator {
 [[nodiscard]] Wrench evaluate(const HapticModel& model, const Pose& pose,
                               std::span<const Pose> others = {}) noexcept;
 
+/// Says whether every number of `model` that is in use is finite and its rows refer to rows of it.
+/// Whatever else it may be, evaluating it does not poison what an evaluator keeps between models.
+[[nodiscard]] bool is_sound(const HapticModel& model) noexcept;
+
 /// Completes a model whose `bilateral_…` fields and rows are set: `wrench`, `stiffness`
 /// (A = A_0 + Ĵ_Fᵀ S_FF⁻¹ Ĵ_F over the free rows F) and `radius_m`.
 ///

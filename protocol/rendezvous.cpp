@@ -132,7 +132,9 @@ ServerInfo server_info(const v1::ServerStatus& status) {
   info.scene = text_of(status.scene);
   for (const v1::ToolStatus& tool : span_of(status.tools)) {
     info.tools.push_back({std::string(text_of(tool.tool)), std::string(text_of(tool.kind)),
-                          tool.leased, guid_of(tool.device), tool.max_force_n,
+                          tool.leased, guid_of(tool.device),
+                          ForceLimits{tool.max_force_n, tool.max_torque_nm,
+                                      tool.max_force_slew_n_per_s, tool.max_torque_slew_nm_per_s},
                           tool.stale_after_ms});
   }
   return info;

@@ -10,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include "protocol/force_shaping.hpp"
 #include "protocol/participant.hpp"
 
 namespace suture {
@@ -25,8 +26,8 @@ struct ServerTool {
   std::string name;
   std::string kind;
   bool leased = false;
-  Guid device{};  ///< writer that holds the lease
-  double max_force_n = 0.0;
+  Guid device{};                           ///< writer that holds the lease
+  ForceLimits limits{0.0, 0.0, 0.0, 0.0};  ///< zero: it tells none
   double stale_after_ms = 0.0;
 };
 

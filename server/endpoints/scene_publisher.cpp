@@ -638,7 +638,8 @@ void ScenePublisher::publish_status(suture_v1_ServerState state, const std::stri
     suture::set_text(tool.tool, served_.tools[i].name);
     suture::set_text(tool.kind, served_.tools[i].kind);
     const std::uint64_t holder = channel.lease();
-    tool.leased = holder != 0;
+    // Until `heed_devices` has seen it end, its device's limits stand: not free for the next one.
+    tool.leased = holder != 0 || heeded_[i] != 0;
     status.devices += tool.leased ? 1 : 0;
     suture::set_guid(tool.device, served_.forces.guid_of_writer(holder));
     tool.renders_itself = report.renders_itself;
@@ -661,7 +662,11 @@ void ScenePublisher::publish_status(suture_v1_ServerState state, const std::stri
     tool.model_age_ms = static_cast<double>(channel.take_model_age_max_ns()) * 1e-6;
     tool.tick = percentiles(served_.forces.take_tick_times(i));
     tool.frozen_rows = served_.models.frozen_rows(i);
-    tool.max_force_n = channel.limits().max_force_n;
+    const suture::ForceLimits limits = channel.limits();
+    tool.max_force_n = limits.max_force_n;
+    tool.max_torque_nm = limits.max_torque_nm;
+    tool.max_force_slew_n_per_s = limits.max_force_slew_n_per_s;
+    tool.max_torque_slew_nm_per_s = limits.max_torque_slew_nm_per_s;
     tool.stale_after_ms = static_cast<double>(channel.pose_stale_after_ns()) * 1e-6;
   }
   suture::lend(status.tools, std::span<const suture::v1::ToolStatus>(tool_status_));

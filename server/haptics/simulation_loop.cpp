@@ -258,8 +258,9 @@ void SimulationLoop::publish_models(std::int64_t taken_ns) {
     published.writer = target.writer;
     published.engaged = target.present && !places_[i];
     published.mapping = target.mapping;
-    channels_[i]->publish_model(model, taken_ns, suture::monotonic_ns(), places_[i]);
-    models_[i]->publish();
+    // What is refused here is not for devices either: theirs age as ours does.
+    if (channels_[i]->publish_model(model, taken_ns, suture::monotonic_ns(), places_[i]))
+      models_[i]->publish();
   }
 }
 

@@ -29,39 +29,6 @@ void count(std::atomic<std::uint64_t>& counter) noexcept {
   counter.fetch_add(1, std::memory_order_relaxed);
 }
 
-template <class Range>
-bool all_finite(const Range& values) noexcept {
-  return std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); });
-}
-
-bool finite(const suture::Wrench& w) noexcept {
-  return all_finite(w.force_n) && all_finite(w.torque_nm);
-}
-
-bool finite(const suture::HapticModel& m) noexcept {
-  if (m.rows < 0 || m.rows > suture::kModelRowsMax) return false;
-  bool good = finite(m.wrench) && finite(m.bilateral_wrench) && all_finite(m.stiffness) &&
-              all_finite(m.bilateral_stiffness) && all_finite(m.arm_moment_nm) &&
-              all_finite(m.slide_twist) && all_finite(m.slide_gradient) &&
-              std::isfinite(m.slide_stiffness) && std::isfinite(m.slide_friction_n) &&
-              std::isfinite(m.slide_drag_n_s_per_m) && all_finite(m.reference.position_m) &&
-              all_finite(m.reference.orientation_xyzw);
-  const int packed = m.rows * (m.rows + 1) / 2;
-  for (int i = 0; i < packed; ++i) good &= std::isfinite(m.compliance_m_per_n[i]);
-  for (int i = 0; i < m.rows; ++i)
-    good &= all_finite(m.jacobian[i]) && std::isfinite(m.offset_m[i]) &&
-            std::isfinite(m.multiplier_n[i]) && m.multiplier_max_n[i] >= 0.0 &&
-            std::isfinite(m.bound_slope[i]) && m.bound_row[i] >= 0 && m.bound_row[i] < m.rows;
-  if (m.other_count < 0 || m.other_count > suture::kModelOthersMax) return false;
-  for (int k = 0; k < m.other_count; ++k) {
-    good &= all_finite(m.others[k].stiffness) && all_finite(m.others[k].slide_gradient) &&
-            all_finite(m.others[k].reference.position_m) &&
-            all_finite(m.others[k].reference.orientation_xyzw);
-    for (int i = 0; i < m.rows; ++i) good &= all_finite(m.others[k].jacobian[i]);
-  }
-  return good;
-}
-
 double magnitude(const std::array<double, 3>& v) noexcept { return std::hypot(v[0], v[1], v[2]); }
 
 suture::Wrench scaled(const suture::Wrench& w, double factor) noexcept {
@@ -236,12 +203,12 @@ std::optional<ForceSample> ToolChannel::supervise(std::int64_t now_ns) noexcept 
 
 // ------------------------------------------------------------------ simulation, others
 
-void ToolChannel::publish_model(const suture::HapticModel& model, std::int64_t taken_ns,
+bool ToolChannel::publish_model(const suture::HapticModel& model, std::int64_t taken_ns,
                                 std::int64_t now_ns,
                                 const std::optional<ToolPlace>& place) noexcept {
-  if (!finite(model)) {
+  if (!suture::is_sound(model)) {
     count(counters_.faults[static_cast<unsigned>(Fault::kModelNotFinite)]);
-    return;
+    return false;
   }
   StampedModel& to = models_.back();
   to.model = model;
@@ -251,6 +218,7 @@ void ToolChannel::publish_model(const suture::HapticModel& model, std::int64_t t
   to.published_ns = now_ns;
   to.place = place;
   models_.publish();
+  return true;
 }
 
 void ToolChannel::set_device_limits(const DeviceLimits& device) noexcept {

@@ -240,12 +240,12 @@ class ToolChannel {
   std::optional<ForceSample> supervise(std::int64_t now_ns) noexcept;
 
   /// Makes `model`, stepped from the targets that `target` gave at `taken_ns`, the one in
-  /// force. One that is not finite is counted and refused.
+  /// force. One that is not sound (suture::is_sound) is counted and refused: false.
   ///
   /// With `place`, the first model of an epoch puts the tool there: as after a clutch the device
   /// engages with an offset, at zero force, and its jaw counts once it is as far closed. A device
   /// whose poses are in the world has no offset: its tool jumps to the hand.
-  void publish_model(const suture::HapticModel& model, std::int64_t taken_ns, std::int64_t now_ns,
+  bool publish_model(const suture::HapticModel& model, std::int64_t taken_ns, std::int64_t now_ns,
                      const std::optional<ToolPlace>& place = std::nullopt) noexcept;
   /// Returns the newest target.
   const ToolTarget& target() noexcept;

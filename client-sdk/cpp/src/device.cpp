@@ -28,6 +28,7 @@ constexpr int kTickPriority = 60;  // below the receive thread, which feeds it
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 // Two forces within the limits differ by twice the largest at most: long enough to fade that.
 constexpr std::int64_t kHandoverNs = 60'000'000;
+constexpr std::int64_t kSlewWindowNs = 10'000'000;  // after a pause, no more than this at once
 // Longer than a tick is ever late: a device that asked for no force since has stopped, and let go.
 constexpr std::int64_t kRestNs = 500'000'000;
 constexpr std::int64_t kHandStaleNs = 15'000'000;    // where a server does not say
@@ -162,6 +163,7 @@ struct Device::State {
   Participant participant;
   ServerInfo server;
   double max_force_n = 0.0;
+  ForceLimits limits;  // the tool's and the device's
 
   // The receive thread's.
   std::atomic<bool> ready{false};         // writer and reader stand
@@ -230,7 +232,14 @@ void Device::State::connect() {
                 "the tool \"" + options.tool + "\" is held by another device",
                 "end that device first, or take another tool");
   }
-  max_force_n = tool->max_force_n;
+  max_force_n = tool->limits.max_force_n;
+  // A server that tells none leaves those of the device. A force that cannot end within a fade must
+  // not begin.
+  constexpr double kNone = 1e9;
+  limits = stoppable_within(smaller_of(smaller_of({kNone, kNone, kNone, kNone}, tool->limits),
+                                       {options.limits.max_force_n, options.limits.max_torque_nm,
+                                        options.limits.max_force_slew_n_per_s, 0.0}),
+                            ForceGuard::kFadeNs);
   epoch = server.epoch;
 
   const auto note_policy = [this](const std::string& name) {
@@ -497,7 +506,9 @@ Force Device::State::feel(const Hand& from, std::int64_t taken_ns, std::int64_t 
   // Who asked for no force so long shows none.
   if (now_ns - last_ns > kRestNs) last = {};
   const Force answer = guard.show(newest.force, newest.at_ns, stop_asked, now_ns);
-  const Force force = handed_over(shown(answer, from, taken_ns, now_ns), now_ns);
+  const Force force =
+      kept_within(limits, handed_over(shown(answer, from, taken_ns, now_ns), now_ns), last,
+                  std::clamp<std::int64_t>(now_ns - last_ns, 0, kSlewWindowNs));
   if (shown_by == Render::kDevice) tell_rendered(force, now_ns);
   last = force;
   last_ns = now_ns;
@@ -529,8 +540,8 @@ Force Device::State::shown(const Force& answer, const Hand& from, std::int64_t t
   return own;
 }
 
-// Takes the step out of a change of renderer: the difference fades, within the slew limit, and
-// under a stop as soon as any force.
+// Takes the step out of a change of renderer: the difference fades, and under a stop as soon as any
+// force.
 Force Device::State::handed_over(const Force& force, std::int64_t now_ns) noexcept {
   if (!handing_over) return force;
   Wrench eased_to = handover.apply({force.force_n, force.torque_nm}, now_ns);
@@ -540,15 +551,10 @@ Force Device::State::handed_over(const Force& force, std::int64_t now_ns) noexce
     eased_to.torque_nm[i] =
         force.torque_nm[i] + kept * (eased_to.torque_nm[i] - force.torque_nm[i]);
   }
-  const ForceLimits& limits = renderer->current().limits;
-  bool limited = false, slewed = false;
-  const Wrench eased =
-      limit_slew(limit_magnitude(eased_to, limits, limited), {last.force_n, last.torque_nm},
-                 std::min(now_ns - last_ns, kHandoverNs), limits, slewed);
-  handing_over = slewed || !handover.over(now_ns);
+  handing_over = !handover.over(now_ns);
   Force result = force;
-  result.force_n = eased.force_n;
-  result.torque_nm = eased.torque_nm;
+  result.force_n = eased_to.force_n;
+  result.torque_nm = eased_to.torque_nm;
   return result;
 }
 

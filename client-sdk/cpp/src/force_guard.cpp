@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "protocol/types.hpp"
+
 namespace suture {
 namespace {
 
@@ -51,6 +53,18 @@ Force ForceGuard::show(const Force& last, std::int64_t arrival_ns, bool stop,
     shown.torque_nm[i] *= gain;
   }
   return shown;
+}
+
+Force kept_within(const ForceLimits& limits, Force force, const Force& last,
+                  std::int64_t elapsed_ns) noexcept {
+  bool limited = false, slewed = false;
+  const Wrench allowed =
+      limit_slew(limit_magnitude({force.force_n, force.torque_nm}, limits, limited),
+                 {last.force_n, last.torque_nm}, elapsed_ns, limits, slewed);
+  force.force_n = allowed.force_n;
+  force.torque_nm = allowed.torque_nm;
+  if (limited) force.faults |= suture_v1_FAULT_FORCE_LIMIT;
+  return force;
 }
 
 }  // namespace suture

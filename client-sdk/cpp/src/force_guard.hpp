@@ -17,8 +17,9 @@ namespace suture {
 ///
 /// The gain is a smoothstep, whose steepest slope is 1.5 times its mean.
 ///
-/// The server sees to limits, slew and its own faults; this sees to a server, a network or
-/// a process that is gone. Nothing here reads a clock. Thread: one. Allocates: nothing.
+/// The server sees to its own faults; this sees to a server, a network or a process that is gone.
+/// What is not finite counts as zero: `kept_within`, which stands last, takes the step out of it.
+/// Nothing here reads a clock. Thread: one. Allocates: nothing.
 class ForceGuard {
  public:
   static constexpr std::int64_t kFadeNs = 30'000'000;
@@ -37,5 +38,11 @@ class ForceGuard {
   std::int64_t stop_since_ns_ = 0;  // 0: no stop
   RampedGain gain_{kRiseNs};
 };
+
+/// Returns `force`, `elapsed_ns` after `last`, within `limits` in magnitude and slew: what stands
+/// last before the hand, whoever rendered. The server keeps to them too; what a network does to its
+/// forces (a gap, several at once), and a server that fails to, must not reach the hand.
+[[nodiscard]] Force kept_within(const ForceLimits& limits, Force force, const Force& last,
+                                std::int64_t elapsed_ns) noexcept;
 
 }  // namespace suture

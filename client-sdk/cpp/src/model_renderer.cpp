@@ -155,6 +155,9 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
     take(from.jacobian, model.others[k].jacobian[0].data());
   }
 
+  if (!is_sound(model) || !std::isfinite(wire.mapping.position_m[0]) ||
+      !std::isfinite(wire.mapping.position_m[1]) || !std::isfinite(wire.mapping.position_m[2]))
+    return false;
   received.mapping = wire.mapping;
   received.blend_ns = std::clamp<std::int64_t>(wire.blend_ns, 0, kLongestNs);
   received.ramp_ns = std::clamp<std::int64_t>(wire.ramp_ns, 1, kLongestNs);
@@ -177,8 +180,11 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
 
 void ModelRenderer::receive(const v1::HapticModel& wire, std::int64_t now_ns) noexcept {
   if (receive_model(wire, now_ns, device_, models_.back(),
-                    in_world_.load(std::memory_order_relaxed)))
+                    in_world_.load(std::memory_order_relaxed))) {
     models_.publish();
+  } else {
+    refused_ns_.store(now_ns, std::memory_order_relaxed);
+  }
 }
 
 // Looks at a hand before anything follows it.
@@ -341,6 +347,8 @@ Force ModelRenderer::render(const Hand& hand, std::int64_t taken_ns, const Force
     ongoing_ |= suture_v1_FAULT_POSE_STALE;
   if (model_stale_.update(now_ns - current.arrived_ns > current.stale_after_ns, now_ns))
     ongoing_ |= suture_v1_FAULT_MODEL_STALE;
+  if (refused_ns_.load(std::memory_order_relaxed) > current.arrived_ns)
+    ongoing_ |= suture_v1_FAULT_MODEL_NOT_FINITE;
   if (evaluator_.fallbacks() != last_fallbacks_) ongoing_ |= suture_v1_FAULT_MODEL_PIVOTS;
   last_fallbacks_ = evaluator_.fallbacks();
 

@@ -34,9 +34,10 @@ struct ReceivedModel {
 [[nodiscard]] Pose to_world(const v1::Mapping& mapping, const Hand& hand) noexcept;
 
 /// Fills `received` from the wire; false, with `received` in an unspecified state, where
-/// sizes do not fit together or the reference is no pose. The model is coupled to what `device`
-/// renders stably (protocol/virtual_coupling.hpp) and the limits are the smaller ones of tool
-/// and device. A hand that is `in_world` is not scaled, nor is what it feels. Allocates nothing.
+/// sizes do not fit together, the reference is no pose or a number is not finite. The model is
+/// coupled to what `device` renders stably (protocol/virtual_coupling.hpp) and the limits are the
+/// smaller ones of tool and device. A hand that is `in_world` is not scaled, nor is what it feels.
+/// Allocates nothing.
 [[nodiscard]] bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns,
                                  const DeviceLimits& device, ReceivedModel& received,
                                  bool in_world = false) noexcept;
@@ -97,7 +98,8 @@ class ModelRenderer {
   double max_speed_m_per_s_;
   std::int64_t hand_stale_ns_;
   Snapshot<ReceivedModel> models_;
-  std::atomic<bool> in_world_{false};  // the hand, for the thread that receives
+  std::atomic<bool> in_world_{false};        // the hand, for the thread that receives
+  std::atomic<std::int64_t> refused_ns_{0};  // the last model that was not sound, by that thread
   OtherTools others_;
 
   // The renderer's.

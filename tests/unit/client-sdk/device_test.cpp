@@ -178,6 +178,33 @@ TEST(Device, PassesNoNonsenseToTheHand) {
   EXPECT_EQ(force->state, ForceState::kFault);
 }
 
+/// Whoever renders: the server's own limits may not be the device's yet, or not be kept.
+TEST(Device, KeepsToItsOwnLimitsWhateverTheServerSends) {
+  SpringServer server(server_options());
+  DeviceOptions options = device_options();
+  options.limits.max_force_n = 0.2;
+  options.limits.max_force_slew_n_per_s = 20.0;
+  Device device(options);
+  Hand hand;
+  hand.position_m = {0.01, 0.0, 0.0};
+  double most_n = 0.0, before_n = 0.0;
+  auto then = std::chrono::steady_clock::now();
+  EXPECT_TRUE(eventually([&] {
+    device.write(hand);
+    const double now_n = std::abs(device.read().force_n[0]);
+    const auto now = std::chrono::steady_clock::now();
+    const double elapsed_s = std::chrono::duration<double>(now - then).count();
+    if (before_n > 0.0) {
+      EXPECT_LE(now_n - before_n, 20.0 * elapsed_s + 1e-3);
+    }
+    most_n = std::max(most_n, now_n);
+    before_n = now_n;
+    then = now;
+    return now_n >= 0.2 - 1e-12;
+  }));
+  EXPECT_NEAR(most_n, 0.2, 1e-12);
+}
+
 TEST(Device, FeelsNothingOfForcesForAnother) {
   SpringServer server(server_options());
   Device device(device_options());

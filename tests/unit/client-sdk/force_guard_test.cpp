@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 
+#include "protocol/types.hpp"
+
 namespace suture {
 namespace {
 
@@ -66,6 +68,24 @@ TEST(ForceGuard, ComesBackByARamp) {
     last = shown.force_n[0];
   }
   EXPECT_EQ(last, 2.0);
+}
+
+/// A server that exceeds, forces that come at once after a gap, one that is no number.
+TEST(KeptWithin, LeavesTheHandWhatTheLimitsAllow) {
+  const ForceLimits limits{3.0, 0.1, 200.0, 6.0};
+  Force last = force_of(1.0);
+  const auto shown = [&](double newtons) {
+    return kept_within(limits, force_of(newtons), last, kMs);
+  };
+  EXPECT_EQ(shown(1.1).force_n[0], 1.1);
+  EXPECT_EQ(shown(1.1).faults, 0U);
+  EXPECT_NEAR(shown(2.5).force_n[0], 1.2, 1e-12) << "200 N/s for 1 ms";
+  EXPECT_NEAR(shown(2.5).torque_nm[1], 0.1, 1e-12) << "the largest";
+  EXPECT_NEAR(shown(0.0).force_n[0], 0.8, 1e-12);
+  EXPECT_NEAR(shown(0.0).torque_nm[1], 0.094, 1e-12);
+  for (int i = 0; i < 1000; ++i) last = shown(1e6);
+  EXPECT_NEAR(last.force_n[0], 3.0, 1e-12);
+  EXPECT_NE(last.faults & suture_v1_FAULT_FORCE_LIMIT, 0U);
 }
 
 TEST(ForceGuard, LetsNothingThroughThatIsNotFinite) {

@@ -292,13 +292,61 @@ TEST_F(ModelRendererTest, WaitsNoLongerThanASecondWhateverAModelAsksFor) {
 
 TEST_F(ModelRendererTest, LetsNothingThroughThatIsNotFinite) {
   settle(hand_at(0.01));
-  v1::HapticModel bad = spring_model(100.0, 2);
-  bad.wrench[0] = bad.bilateral_wrench[0] = std::nan("");
-  renderer_.receive(bad, now_ns_ += kMs);
-  for (int i = 0; i < 10; ++i) {
-    const Force force = render(hand_at(0.01), rendering(), now_ns_ += kMs);
-    for (const double f : force.force_n) EXPECT_TRUE(std::isfinite(f));
+  void (*const spoils[])(v1::HapticModel&) = {
+      [](v1::HapticModel& m) { m.wrench[0] = m.bilateral_wrench[0] = std::nan(""); },
+      [](v1::HapticModel& m) { m.stiffness[3] = std::numeric_limits<double>::infinity(); },
+      [](v1::HapticModel& m) { m.reference_position_m[1] = std::nan(""); },
+      [](v1::HapticModel& m) { m.slide_friction_n = std::nan(""); },
+      [](v1::HapticModel& m) { m.slide_drag_n_s_per_m = std::nan(""); },
+      [](v1::HapticModel& m) { m.mapping.position_m[2] = std::nan(""); },
+  };
+  for (const auto spoil : spoils) {
+    // One is told, and passed over: what a needle's friction remembers is not touched by it.
+    v1::HapticModel bad = wire_;
+    spoil(bad);
+    renderer_.receive(bad, now_ns_ += kMs);
+    Force force = render(hand_at(0.01), rendering(), now_ns_);
+    EXPECT_NEAR(force.force_n[0], -1.0, 1e-12);
+    EXPECT_NE(force.faults & suture_v1_FAULT_MODEL_NOT_FINITE, 0U);
+    renderer_.receive(wire_, now_ns_ += kMs);
+    force = render(hand_at(0.01), rendering(), now_ns_);
+    EXPECT_NEAR(force.force_n[0], -1.0, 1e-12);
+    EXPECT_EQ(force.faults, 0U);
   }
+  // Many: the last good one gets old.
+  v1::HapticModel bad = wire_;
+  spoils[0](bad);
+  double last = 1.0;
+  for (int i = 0; i < 50; ++i) {
+    renderer_.receive(bad, now_ns_ += kMs);
+    const double now = -render(hand_at(0.01), rendering(), now_ns_).force_n[0];
+    EXPECT_LE(last - now, 1.5 / 25.0 + 1e-9);
+    EXPECT_LE(now, last);
+    last = now;
+  }
+  EXPECT_EQ(last, 0.0);
+}
+
+/// A needle that slides keeps its friction from model to model: one that is bad must not get in.
+TEST_F(ModelRendererTest, KeepsTheFrictionOfASlidingNeedleThroughABadModel) {
+  wire_.slide_twist[0] = 1.0;
+  wire_.slide_stiffness = 100.0;
+  wire_.slide_friction_n = -0.2;
+  wire_.slide_drag_n_s_per_m = 2.0;
+  settle(hand_at(0.001));
+  v1::HapticModel bad = wire_;
+  bad.slide_friction_n = bad.wrench[0] = std::nan("");
+  renderer_.receive(bad, now_ns_ += kMs);
+  (void)render(hand_at(0.001), rendering(), now_ns_);
+  double most = 0.0;
+  for (int i = 0; i < 300; ++i) {
+    wire_.sequence_number++;
+    renderer_.receive(wire_, now_ns_ += kMs);
+    const Force force = render(hand_at(0.001 + 1e-5 * i), rendering(), now_ns_);
+    most = std::max(most, std::abs(force.force_n[0]));
+    EXPECT_EQ(force.state, ForceState::kRendering);
+  }
+  EXPECT_GT(most, 0.01);
 }
 
 // The server goes on saying that all is well: it may be a network away, or gone.
