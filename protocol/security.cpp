@@ -65,7 +65,8 @@ class Folder {
     const mode_t others = handed_in ? S_IRWXO : S_IRWXG | S_IRWXO;
     if (::stat(path.c_str(), &facts) != 0 || (facts.st_mode & others) == 0) return;
     refuse("the private key " + path + " is open to others",
-           "`chmod 600 " + path + "`, and where others may have read it, `suture keys renew` it");
+           "`chmod 600 " + path +
+               "`, and where others may have read it, `suture keys renew --revoke-old` it");
   }
 
   template <class Ptr, class Read>
@@ -230,7 +231,9 @@ Identity read_identity(const std::string& path) {
            "copy it anew from the site's folder");
   X509_REVOKED* entry = nullptr;
   if (X509_CRL_get0_by_cert(revoked.get(), &entry, certificate.get()) == 1)
-    refuse(whose + " is revoked", "ask the site for another identity");
+    refuse(
+        whose + " is revoked",
+        "copy the folder anew from the site's where it was renewed, or ask for another identity");
   const std::int64_t now = std::time(nullptr);
   identity.expires_s = unix_s(X509_get0_notAfter(certificate.get()));
   if (identity.expires_s < now)

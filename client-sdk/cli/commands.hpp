@@ -120,6 +120,7 @@ struct KeysArguments {
   int domain = -1;  ///< all
   std::string session;
   int days = 0;
+  bool revoke_old = false;
 };
 
 int run_keys_init(const KeysArguments& arguments);

@@ -30,6 +30,13 @@ void say_what_to_do(const std::filesystem::path& folder) {
       folder.c_str());
 }
 
+void say_what_to_do_with_the_list(const std::string& site) {
+  std::printf(
+      "copy %s/%s into the folders of keys in use, the servers' first, and start the servers "
+      "again\n",
+      site.c_str(), key_files::kRevoked);
+}
+
 }  // namespace
 
 int run_keys_init(const KeysArguments& arguments) {
@@ -55,16 +62,21 @@ int run_keys_add(const KeysArguments& arguments) {
 }
 
 int run_keys_renew(const KeysArguments& arguments) {
-  say_what_to_do(keys::Site(arguments.site).renew(arguments.name, seconds_of(arguments)));
+  const auto old_keys = arguments.revoke_old ? keys::OldKeys::kRevoke : keys::OldKeys::kHold;
+  say_what_to_do(keys::Site(arguments.site).renew(arguments.name, seconds_of(arguments), old_keys));
+  if (arguments.revoke_old) {
+    std::printf("the keys that it had are revoked: ");
+    say_what_to_do_with_the_list(arguments.site);
+  } else {
+    std::printf("the keys that it had hold until they expire (--revoke-old withdraws them)\n");
+  }
   return kDone;
 }
 
 int run_keys_revoke(const KeysArguments& arguments) {
   keys::Site(arguments.site).revoke(arguments.name);
-  std::printf(
-      "\"%s\" is revoked: copy %s/%s into the folders of keys in use, the servers' first, "
-      "and start the servers again\n",
-      arguments.name.c_str(), arguments.site.c_str(), key_files::kRevoked);
+  std::printf("\"%s\" is revoked: ", arguments.name.c_str());
+  say_what_to_do_with_the_list(arguments.site);
   return kDone;
 }
 

@@ -328,6 +328,8 @@ void add_keys(CLI::App& app, Action& action) {
   add_site(*keys_renew);
   keys_renew->add_option("name", arguments->name, "of the identity")->required();
   add_days(*keys_renew, "until it ends (365)");
+  keys_renew->add_flag("--revoke-old", arguments->revoke_old,
+                       "withdraw the keys that it had: somebody may have read them");
   CLI::App* keys_revoke = command->add_subcommand("revoke", "Withdraw an identity");
   add_site(*keys_revoke);
   keys_revoke->add_option("name", arguments->name, "of the identity")->required();
@@ -338,6 +340,7 @@ void add_keys(CLI::App& app, Action& action) {
       "  suture keys init site\n"
       "  suture keys add site theatre-1 --role server\n"
       "  suture keys add site left-hand --role device --tool driver\n"
+      "  suture keys renew site left-hand --revoke-old\n"
       "  suture keys revoke site left-hand");
   const auto does = [&](CLI::App* of, int (*run)(const KeysArguments&)) {
     of->callback(

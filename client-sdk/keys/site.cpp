@@ -125,6 +125,7 @@ nlohmann::json json_of(const Entry& entry) {
           {"session", entry.rights.session},
           {"expires_s", entry.expires_s},
           {"serials", entry.serials},
+          {"withdrawn_serials", entry.withdrawn_serials},
           {"revoked", entry.revoked}};
 }
 
@@ -137,6 +138,8 @@ Entry entry_of(const nlohmann::json& json) {
   entry.rights.session = json.at("session");
   entry.expires_s = json.at("expires_s");
   entry.serials = json.at("serials");
+  // Registers of before there were any have none.
+  entry.withdrawn_serials = json.value("withdrawn_serials", std::vector<std::string>());
   entry.revoked = json.at("revoked");
   check_name(entry.name);
   return entry;
@@ -144,8 +147,10 @@ Entry entry_of(const nlohmann::json& json) {
 
 std::vector<std::string> revoked_serials(const std::vector<Entry>& entries) {
   std::vector<std::string> serials;
-  for (const Entry& entry : entries)
-    if (entry.revoked) serials.insert(serials.end(), entry.serials.begin(), entry.serials.end());
+  for (const Entry& entry : entries) {
+    const std::vector<std::string>& which = entry.revoked ? entry.serials : entry.withdrawn_serials;
+    serials.insert(serials.end(), which.begin(), which.end());
+  }
   return serials;
 }
 
@@ -263,18 +268,24 @@ fs::path Site::add(const std::string& name, const Rights& rights, std::int64_t s
                            : "`suture keys renew` it, or take another name");
   const auto before = entries_;
   try {
-    return issue(entries_.emplace_back(Entry{name, rights, 0, {}, false}), seconds);
+    return issue(entries_.emplace_back(Entry{name, rights, 0, {}, {}, false}), seconds);
   } catch (...) {
     entries_ = before;
     throw;
   }
 }
 
-fs::path Site::renew(const std::string& name, std::int64_t seconds) {
+fs::path Site::renew(const std::string& name, std::int64_t seconds, OldKeys old_keys) {
   Entry& which = entry(name);
   if (which.revoked)
     refuse("\"" + name + "\" is revoked", "a name is given once: add another identity");
-  return issue(which, seconds);
+  fs::path folder = issue(which, seconds);
+  if (old_keys == OldKeys::kRevoke) {
+    which.withdrawn_serials.assign(which.serials.begin(), which.serials.end() - 1);
+    save();
+    publish_revoked();
+  }
+  return folder;
 }
 
 fs::path Site::issue(Entry& which, std::int64_t seconds) {
@@ -308,6 +319,10 @@ void Site::revoke(const std::string& name) {
   Entry& which = entry(name);
   which.revoked = true;
   save();
+  publish_revoked();
+}
+
+void Site::publish_revoked() const {
   const std::string list =
       revocation_list(authority_of(folder_), revoked_serials(entries_), std::time(nullptr));
   write_file(folder_ / key_files::kRevoked, list, 0644);

@@ -40,10 +40,15 @@ struct Rights {
 struct Entry {
   std::string name;
   Rights rights;
-  std::int64_t expires_s = 0;        ///< Unix time
-  std::vector<std::string> serials;  ///< hexadecimal, of all its certificates
-  bool revoked = false;
+  std::int64_t expires_s = 0;                  ///< Unix time
+  std::vector<std::string> serials;            ///< hexadecimal, of all its certificates
+  std::vector<std::string> withdrawn_serials;  ///< those of them that hold no longer
+  bool revoked = false;                        ///< none of them holds, and none will be given
 };
+
+/// What becomes of the keys that an identity had before it is renewed: whoever read them is the
+/// identity as long as they hold.
+enum class OldKeys { kHold, kRevoke };
 
 /// A folder with the site's authority: its key, its register, and a folder for each identity.
 ///
@@ -63,8 +68,11 @@ class Site {
 
   /// Gives a new identity for `seconds` and returns its folder.
   std::filesystem::path add(const std::string& name, const Rights& rights, std::int64_t seconds);
-  /// Gives an identity a new key and new dates, the same rights, and returns its folder.
-  std::filesystem::path renew(const std::string& name, std::int64_t seconds);
+  /// Gives an identity a new key and new dates, the same rights, and returns its folder. The keys
+  /// before hold until they expire, or are withdrawn as by `revoke`; where only that fails, the new
+  /// ones are there, and renewing once more withdraws all before.
+  std::filesystem::path renew(const std::string& name, std::int64_t seconds,
+                              OldKeys old_keys = OldKeys::kHold);
   /// Withdraws all certificates of an identity: renews the list of the revoked, here and in
   /// the folders of all identities.
   void revoke(const std::string& name);
@@ -75,6 +83,7 @@ class Site {
  private:
   Entry& entry(const std::string& name);
   std::filesystem::path issue(Entry& entry, std::int64_t seconds);
+  void publish_revoked() const;
   void save() const;
 
   std::filesystem::path folder_;

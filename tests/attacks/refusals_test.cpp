@@ -158,6 +158,19 @@ TEST_F(Refusals, ARevokedIdentityIsRefusedByWhoKnows) {
   EXPECT_THAT(keys({"list", site_}).text, HasSubstr("revoked"));
 }
 
+TEST_F(Refusals, KeysOfBeforeARenewalMayBeRevokedWithoutTheName) {
+  std::filesystem::copy(folder("viewer"), folder_.path("stolen"));
+  const Said renewed = keys({"renew", site_, "viewer", "--revoke-old"});
+  EXPECT_EQ(renewed.code, 0) << renewed.text;
+  EXPECT_THAT(renewed.text, HasSubstr("the keys that it had are revoked: copy " + site_));
+  serve(folder("server"));
+  const Said own = suture({"top", "--once", "--timeout", "30"}, folder("viewer"));
+  EXPECT_EQ(own.code, 0) << own.text;
+  EXPECT_EQ(suture({"top", "--once"}, folder_.path("stolen")).code, 3);
+  EXPECT_THAT(server_->read_until("CN=viewer"), HasSubstr("revoked"));
+  EXPECT_THAT(keys({"renew", site_, "viewer"}).text, HasSubstr("hold until they expire"));
+}
+
 TEST_F(Refusals, WhoIsRevokedWhileTheServerRunsIsRefusedOnceItStartsAgain) {
   serve(folder("server"));
   std::filesystem::copy(folder("viewer"), folder_.path("stolen"));

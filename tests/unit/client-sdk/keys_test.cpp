@@ -73,6 +73,7 @@ TEST_F(Keys, AKeyOpenToOthersIsRefusedWithTheMend) {
   const fs::path folder = add("left", device("driver"));
   ::chmod((folder / key_files::kKey).c_str(), 0640);
   EXPECT_THAT(fault_in(folder), HasSubstr("chmod 600"));
+  EXPECT_THAT(fault_in(folder), HasSubstr("suture keys renew --revoke-old"));
   ::chmod((folder / key_files::kKey).c_str(), 0600);
   EXPECT_EQ(fault_in(folder), "");
   ::chmod((site_ + "/authority.key.pem").c_str(), 0604);
@@ -166,6 +167,44 @@ TEST_F(Keys, RevokingWithdrawsEveryCertificateOfAName) {
   // Who comes later knows it too.
   EXPECT_EQ(read_file(fs::path(add("third", device("probe"))) / key_files::kRevoked),
             read_file(fs::path(site_) / key_files::kRevoked));
+}
+
+TEST_F(Keys, RenewingMayRevokeTheKeysBefore) {
+  const fs::path list = fs::path(site_) / key_files::kRevoked;
+  const fs::path folder = add("left", device("driver"));
+  const fs::path other = add("right", device("probe"));
+  const auto fault_of_copy = [&](const char* copy) {
+    fs::copy_file(list, fs::path(folder_.path(copy)) / key_files::kRevoked,
+                  fs::copy_options::overwrite_existing);
+    return fault_in(folder_.path(copy));
+  };
+  fs::copy(folder, folder_.path("first"));
+  Site(site_).renew("left", kDay_s);
+  fs::copy(folder, folder_.path("second"));
+  EXPECT_EQ(fault_of_copy("first"), "") << "nobody said that it should end";
+  Site(site_).renew("left", kDay_s, OldKeys::kRevoke);
+  EXPECT_THAT(fault_of_copy("first"), HasSubstr("revoked"));
+  EXPECT_THAT(fault_of_copy("second"), HasSubstr("revoked"));
+  EXPECT_EQ(fault_in(folder), "");
+  EXPECT_EQ(fault_in(other), "");
+  for (const fs::path& each : {folder, other})
+    EXPECT_EQ(read_file(each / key_files::kRevoked), read_file(list)) << each;
+  // The register knows it: no later list forgets it, and the name is still given.
+  Site(site_).renew("left", kDay_s);
+  Site(site_).revoke("right");
+  EXPECT_THAT(fault_of_copy("second"), HasSubstr("revoked"));
+  EXPECT_EQ(fault_in(folder), "");
+}
+
+TEST_F(Keys, ARegisterOfBeforeKeysWereWithdrawnIsRead) {
+  add("left", device("driver"));
+  std::string text = read_file(site_ + "/register.json");
+  const std::size_t name = text.find("\"withdrawn_serials\"");
+  ASSERT_NE(name, std::string::npos);
+  const std::size_t comma = text.rfind(',', name);  // it is the last one
+  text.erase(comma, text.find(']', name) + 1 - comma);
+  std::ofstream(site_ + "/register.json") << text;
+  EXPECT_TRUE(Site(site_).entries().at(0).withdrawn_serials.empty()) << text;
 }
 
 TEST_F(Keys, EachDamageIsNamed) {
