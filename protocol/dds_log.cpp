@@ -7,6 +7,17 @@
 #include <utility>
 
 namespace suture {
+namespace {
+
+/// A line of Cyclone's with what it means where only OpenSSL knows.
+std::string in_plain_words(std::string line) {
+  // Of a certificate whose authority is none that this process was given.
+  if (line.find("unable to get local issuer certificate") != std::string::npos)
+    line += " (certificate of another authority)";
+  return line;
+}
+
+}  // namespace
 
 DdsLog::DdsLog(std::function<void(bool, const std::string&)> tell) : tell_(std::move(tell)) {
   const auto hear_one = [](void* self, const dds_log_data_t* data) {
@@ -33,7 +44,7 @@ void DdsLog::hear(bool error, const std::string& line, Clock::time_point now) no
       tell_(false, std::to_string(untold) + " more lines of DDS were left out");
   }
   ++told_;
-  tell_(error, line);
+  tell_(error, in_plain_words(line));
 } catch (...) {  // a line less: no reason to end what Cyclone does
   ++untold_;
 }

@@ -21,7 +21,8 @@ class DdsLog {
   static constexpr std::chrono::seconds kPeriod{10};
 
   /// `tell` is given a line (`error`: more than a warning), at most `kLines` in each `kPeriod`, and
-  /// in the next one how many more there were. Called on Cyclone's threads, one at a time.
+  /// in the next one how many more there were. What OpenSSL says of another site's certificate has
+  /// the cause in plain words behind it. Called on Cyclone's threads, one at a time.
   explicit DdsLog(std::function<void(bool error, const std::string& line)> tell);
   /// No call of `tell` is under way afterwards.
   ~DdsLog();

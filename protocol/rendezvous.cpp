@@ -182,7 +182,8 @@ ServerInfo await_server(const Participant& participant, std::chrono::nanoseconds
   if (identity)
     throw Error(ErrorCode::kNoServer, cause + " to the keys of \"" + identity->name + "\"",
                 "where a server runs there, it may refuse these keys (another authority, revoked, "
-                "another session or domain in the permissions): its log names the cause; else "
+                "another session or domain in the permissions): its log or a line above names the "
+                "cause; else "
                 "check domain, session, --interface and --peer");
   throw Error(ErrorCode::kNoServer, cause,
               "start `sutured serve SCENE.toml --domain " + std::to_string(options.domain) +

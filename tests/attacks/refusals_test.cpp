@@ -141,9 +141,14 @@ TEST_F(Refusals, OtherKeysAreRefusedAndTheCauseIsSaid) {
   EXPECT_EQ(said.code, 3) << said.text;
   EXPECT_THAT(said.text, HasSubstr("to the keys of \"stranger\""));
   // Whoever is asked for a handshake looks first, and says so: the server, or the client itself.
+  // Which of them follows from their names alone: of this one the client, of "other" the server.
+  EXPECT_THAT(said.text, HasSubstr("Certificate not valid"));
+  ASSERT_EQ(keys({"add", elsewhere, "other", "--role", "viewer"}).code, 0);
+  EXPECT_EQ(suture({"top", "--once"}, elsewhere + "/identities/other").code, 3);
   server_->send(SIGTERM);
   server_->wait();
-  EXPECT_THAT(said.text + server_->output(), HasSubstr("Certificate not valid"));
+  EXPECT_THAT(server_->output(),
+              HasSubstr("CN=other(code: 200) (certificate of another authority)"));
 }
 
 TEST_F(Refusals, ARevokedIdentityIsRefusedByWhoKnows) {

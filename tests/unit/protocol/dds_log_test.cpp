@@ -43,6 +43,16 @@ TEST_F(DdsLogTest, TellsAFewLinesAPeriodAndHowManyWereLeftOut) {
   EXPECT_EQ(told_.back(), "error: of the next");
 }
 
+TEST_F(DdsLogTest, SaysWhoseCertificateOpenSslDoesNotKnow) {
+  const auto begun = DdsLog::Clock::time_point(std::chrono::hours(1));
+  const std::string of_another =
+      "Certificate not valid: error: unable to get local issuer certificate; subject: /CN=other";
+  log_.hear(false, of_another, begun);
+  log_.hear(false, "Certificate not valid: error: certificate revoked", begun);
+  EXPECT_THAT(told_, ElementsAre("warning: " + of_another + " (certificate of another authority)",
+                                 "warning: Certificate not valid: error: certificate revoked"));
+}
+
 TEST(DdsLog, WhatFailsToTellIsCounted) {
   std::vector<std::string> told;
   bool fails = true;
