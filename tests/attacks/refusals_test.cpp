@@ -240,6 +240,33 @@ TEST_F(Refusals, TheEnvironmentDoesWhatTheOptionDoes) {
   EXPECT_THAT(said.text, HasSubstr("there is no folder of keys"));
 }
 
+TEST_F(Refusals, TheEnvironmentGetsEachServed) {
+  const std::vector<std::string> here{"--domain", std::to_string(own_session().domain), "--session",
+                                      own_session().session};
+  const auto with_keys_of = [&](const std::string& name, std::vector<std::string> words) {
+    words.insert(words.begin(), {"env", "SUTURE_SECURITY=" + folder(name)});
+    words.insert(words.end(), here.begin(), here.end());
+    return words;
+  };
+  server_ = std::make_unique<Process>(with_keys_of(
+      "server",
+      {SUTURED_PROGRAM, "serve", SUTURED_SOURCE_DIR "/server/scenes/anastomosis/scene.toml"}));
+  server_->read_until("serving scene");
+  const std::string hands = folder_.write("hands.csv",
+                                          "time_s,tool,px_m,py_m,pz_m,qx,qy,qz,qw,jaw\n"
+                                          "0,driver,0,0,0.05,0,0,0,1,0\n"
+                                          "0.3,driver,0,0,0.05,0,0,0,1,0\n");
+  const Said plays =
+      run(with_keys_of("driver", {SUTURE_CLI, "device", "--surgeon", hands, "--timeout", "30"}));
+  EXPECT_EQ(plays.code, 0) << plays.text;
+  const Said sees = run(with_keys_of("viewer", {SUTURE_CLI, "top", "--once", "--timeout", "30"}));
+  EXPECT_EQ(sees.code, 0) << sees.text;
+  // It was the environment: without it nobody answers.
+  std::vector<std::string> bare{SUTURE_CLI, "top", "--once"};
+  bare.insert(bare.end(), here.begin(), here.end());
+  EXPECT_EQ(run(bare).code, 3);
+}
+
 TEST_F(Refusals, TheDoctorTellsOfKeysThatEndSoon) {
   add("short", {"--role", "viewer", "--days", "3"});
   const auto doctor = [&](const std::string& name) {
