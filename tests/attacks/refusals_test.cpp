@@ -177,13 +177,16 @@ TEST_F(Refusals, KeysOfBeforeARenewalMayBeRevokedWithoutTheName) {
 }
 
 TEST_F(Refusals, WhoIsRevokedWhileTheServerRunsIsRefusedOnceItStartsAgain) {
-  serve(folder("server"));
+  const std::vector<std::string> keeps{"--checkpoints", folder_.path("checkpoints")};
+  serve(folder("server"), keeps);
   std::filesystem::copy(folder("viewer"), folder_.path("stolen"));
   EXPECT_EQ(suture({"top", "--once", "--timeout", "30"}, folder_.path("stolen")).code, 0);
   EXPECT_EQ(keys({"revoke", site_, "viewer"}).code, 0);
   server_->send(SIGTERM);
   server_->wait();
-  serve(folder("server"));
+  // It goes on where it was, since it is told to: it ended as asked.
+  serve(folder("server"), {keeps[0], keeps[1], "--resume", "always"});
+  EXPECT_THAT(server_->output(), HasSubstr("resumed at"));
   EXPECT_EQ(suture({"top", "--once"}, folder_.path("stolen")).code, 3);
   EXPECT_THAT(server_->read_until("CN=viewer"), HasSubstr("revoked"));
   const Said others = suture({"top", "--once", "--timeout", "30"}, folder("teacher"));
