@@ -65,6 +65,21 @@ std::size_t read_head(const std::filesystem::path& path, std::span<const std::by
   }
 }
 
+}  // namespace
+
+Identity identity_of(const scene::Scene& scene, Writer writer) {
+  scene::Scene content = scene;
+  // Where its files lie, and what a reader should know of them, make no other scene.
+  auto& [name, path, rate_hz, gravity, tissues, needles, threads, tools, wounds, contact, notes] =
+      content;
+  for (scene::Tissue& tissue : tissues) tissue.mesh_path.clear();
+  std::vector<std::byte> bytes;
+  Archive archive = Archive::writing(bytes, Archive::Caches::kLeftOut);
+  archive(name, rate_hz, gravity, tissues, needles, threads, tools, contact);
+  for (auto& [wound, edges] : wounds) archive(wound, edges);  // GCC 12 counts no fields here
+  return {writer, checksum(bytes), scene.name, SUTURED_VERSION};
+}
+
 void expect_same(const std::filesystem::path& path, const Identity& found,
                  const Identity& expected) {
   if (found.writer != expected.writer)
@@ -82,21 +97,6 @@ void expect_same(const std::filesystem::path& path, const Identity& found,
              : "is of scene \"" + found.scene_name + "\", and this is \"" + expected.scene_name +
                    "\"",
          "use a checkpoint of this scene");
-}
-
-}  // namespace
-
-Identity identity_of(const scene::Scene& scene, Writer writer) {
-  scene::Scene content = scene;
-  // Where its files lie, and what a reader should know of them, make no other scene.
-  auto& [name, path, rate_hz, gravity, tissues, needles, threads, tools, wounds, contact, notes] =
-      content;
-  for (scene::Tissue& tissue : tissues) tissue.mesh_path.clear();
-  std::vector<std::byte> bytes;
-  Archive archive = Archive::writing(bytes, Archive::Caches::kLeftOut);
-  archive(name, rate_hz, gravity, tissues, needles, threads, tools, contact);
-  for (auto& [wound, edges] : wounds) archive(wound, edges);  // GCC 12 counts no fields here
-  return {writer, checksum(bytes), scene.name, SUTURED_VERSION};
 }
 
 void write_checkpoint(const std::filesystem::path& path, const CheckpointInfo& info,

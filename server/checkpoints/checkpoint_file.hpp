@@ -55,6 +55,10 @@ struct CheckpointInfo {
   std::uint64_t previous = 0;  ///< the one that its past was last written in; 0: none
 };
 
+/// Throws CheckpointError where the checkpoint at `path` is `found`'s and not `expected`'s.
+void expect_same(const std::filesystem::path& path, const Identity& found,
+                 const Identity& expected);
+
 /// Writes a checkpoint to `path` and waits until the disk has it: afterwards the file is the new
 /// one or, where that failed, still the one before. Throws CheckpointError.
 void write_checkpoint(const std::filesystem::path& path, const CheckpointInfo& info,

@@ -113,7 +113,10 @@ void CheckpointFolder::read_folder() {
       info = read_checkpoint_info(entry.path());
     } catch (const CheckpointError&) {
     }
-    if (info.identity == identity_) known_[*sequence] = info;
+    if (info.identity == identity_)
+      known_[*sequence] = info;
+    else
+      others_[*sequence] = info.identity;
   }
   ended_ = std::filesystem::exists(options_.folder / "ended") || last_ == 0;
   std::string text;
@@ -141,6 +144,7 @@ std::uint64_t CheckpointFolder::write(CheckpointInfo info, std::span<const std::
     std::error_code ignored;
     std::filesystem::remove(path_of(*files_.begin()), ignored);
     known_.erase(*files_.begin());
+    others_.erase(*files_.begin());
     files_.erase(files_.begin());
   }
   return last_;
@@ -154,19 +158,30 @@ void CheckpointFolder::write(const std::string& name, CheckpointInfo info,
   write_checkpoint(path, info, state);
 }
 
-std::optional<CheckpointFolder::Found> CheckpointFolder::newest() {
+CheckpointFolder::Newest CheckpointFolder::newest() {
   const std::lock_guard lock(mutex_);
-  std::vector<std::string> refused;
-  for (auto known = known_.rbegin(); known != known_.rend(); ++known) {
-    // A server that resumed this one, and died before it had written another.
-    if (resumed_before_ != 0 && known->first >= resumed_before_) continue;
+  Newest newest;
+  std::vector<std::string> refused;  // in their order, others' among them
+  for (auto file = files_.rbegin(); file != files_.rend(); ++file) {
+    const std::filesystem::path path = path_of(*file);
+    const auto other = others_.find(*file);
     try {
-      return Found{read_checkpoint(path_of(known->first), identity_), refused};
+      if (other != others_.end()) expect_same(path, other->second, identity_);
+      if (resumed_before_ != 0 && *file >= resumed_before_)
+        throw CheckpointError(path.string() +
+                              (*file > resumed_before_
+                                   ? ": was refused by the server before"
+                                   : ": a server that went on from it died before it had written "
+                                     "another"));
+      newest.checkpoint = read_checkpoint(path, identity_);
+      return newest;
     } catch (const CheckpointError& error) {
       refused.emplace_back(error.what());
+      if (other == others_.end()) newest.refused.emplace_back(error.what());
     }
   }
-  return std::nullopt;
+  newest.refused = std::move(refused);
+  return newest;
 }
 
 CheckpointFolder::Found CheckpointFolder::in_the_past_of(std::uint64_t sequence, double time_s) {

@@ -60,8 +60,14 @@ class CheckpointFolder {
     Checkpoint checkpoint;
     std::vector<std::string> refused;
   };
-  /// Returns the newest checkpoint that is whole and of this scene and build.
-  [[nodiscard]] std::optional<Found> newest();
+  struct Newest {
+    std::optional<Checkpoint> checkpoint;
+    std::vector<std::string> refused;
+  };
+  /// Returns the newest checkpoint that is whole and of this scene and build. Where there is none,
+  /// `refused` has a line for each of the second that there is, those of another scene or build
+  /// too, the newest first; else for those that are newer and this scene's.
+  [[nodiscard]] Newest newest();
   /// Returns the youngest one in the past of `sequence` that was taken at or before `time_s`
   /// (simulated), or the oldest one there is. Throws CheckpointError where there is none.
   [[nodiscard]] Found in_the_past_of(std::uint64_t sequence, double time_s);
@@ -90,6 +96,7 @@ class CheckpointFolder {
   std::uint64_t resumed_before_ = 0;               ///< by a server that then died; 0: none
   std::set<std::uint64_t> files_;                  ///< of whichever scene and build
   std::map<std::uint64_t, CheckpointInfo> known_;  ///< of this scene and build, by number
+  std::map<std::uint64_t, Identity> others_;       ///< whose those are that are not in `known_`
 };
 
 }  // namespace sutured::checkpoints

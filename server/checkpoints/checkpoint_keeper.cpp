@@ -183,13 +183,13 @@ CheckpointKeeper::Change CheckpointKeeper::change_to(Checkpoint checkpoint, std:
   return change;
 }
 
-std::optional<CheckpointKeeper::Change> CheckpointKeeper::resume(bool crash_only) {
-  if (crash_only && folder_.ended()) return std::nullopt;
-  std::optional<CheckpointFolder::Found> found = folder_.newest();
-  if (!found) return std::nullopt;
-  const std::uint64_t sequence = found->checkpoint.info.sequence;
+CheckpointKeeper::Resumption CheckpointKeeper::resume(bool crash_only) {
+  if (crash_only && folder_.ended()) return {};
+  CheckpointFolder::Newest newest = folder_.newest();
+  if (!newest.checkpoint) return {std::nullopt, std::move(newest.refused)};
+  const std::uint64_t sequence = newest.checkpoint->info.sequence;
   folder_.note_resumed(sequence);
-  return change_to(std::move(found->checkpoint), sequence, std::move(found->refused));
+  return {change_to(std::move(*newest.checkpoint), sequence, {}), std::move(newest.refused)};
 }
 
 CheckpointKeeper::Change CheckpointKeeper::back_by(double seconds) {

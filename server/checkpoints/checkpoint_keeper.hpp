@@ -49,9 +49,13 @@ class CheckpointKeeper {
     std::string text;                  ///< for people: where that is
     std::vector<std::string> refused;  ///< checkpoints that should have been used, and why not
   };
-  /// Returns the newest checkpoint; `refused` are then those that are newer and damaged. None where
-  /// there is none, or (`crash_only`) the last server ended as asked. Before the first `offer`.
-  [[nodiscard]] std::optional<Change> resume(bool crash_only);
+  struct Resumption {
+    std::optional<Change> change;
+    std::vector<std::string> refused;  ///< as CheckpointFolder::Newest has them
+  };
+  /// Returns the newest checkpoint. None where there is none that can be used, or (`crash_only`:
+  /// nor is any refused) the last server ended as asked. Before the first `offer`.
+  [[nodiscard]] Resumption resume(bool crash_only);
   /// Returns the state of `seconds` (simulated) ago, or the oldest there is since the last reset.
   /// Throws CheckpointError.
   [[nodiscard]] Change back_by(double seconds);

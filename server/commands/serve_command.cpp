@@ -12,6 +12,7 @@
 #include <limits>
 #include <map>
 #include <optional>
+#include <sstream>
 #include <string>
 #include <utility>
 #include <vector>
@@ -206,7 +207,8 @@ int serve(const Options& options) {
   }
   endpoints::Server server(std::move(scene), std::move(server_options));
   if (!server.realtime().note.empty()) log->warn("{}", server.realtime().note);
-  if (const std::string notes = server.notes(); !notes.empty()) log->warn("{}", notes);
+  std::istringstream notes(server.notes());
+  for (std::string note; std::getline(notes, note);) log->warn("{}", note);
   if (!server.resumed().empty()) log->info("resumed {} of the simulation", server.resumed());
   const std::string serving =
       fmt::format("serving scene \"{}\" at {} Hz in domain {}, {}", name, rate_hz, options.domain,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "endpoints/server.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <optional>
@@ -24,6 +25,7 @@ namespace {
 // milliseconds on a quiet network; a server tells its status twice a second.
 constexpr std::chrono::milliseconds kAsk(600);
 constexpr std::int64_t kFadePatience_ns = 100 * haptics::kMillisecond_ns;
+constexpr std::size_t kRefusedTold = 10;
 
 }  // namespace
 
@@ -53,9 +55,16 @@ struct Server::State {
   /// Begins where the last server was; says whether it does.
   bool resume(simulation::Simulation& simulation, simulation::QualityMeter& quality) {
     if (options.resume == Options::Resume::kNever) return false;
-    const auto change = keeper->resume(options.resume == Options::Resume::kAfterCrash);
-    if (!change) return false;
-    for (const std::string& line : change->refused) refused += line + '\n';
+    const auto [change, lines] = keeper->resume(options.resume == Options::Resume::kAfterCrash);
+    // One more build or a disk that failed refuses all that there are: a line each, to a bound.
+    for (std::size_t i = 0; i < std::min(lines.size(), kRefusedTold); ++i)
+      refused += lines[i] + '\n';
+    if (lines.size() > kRefusedTold)
+      refused += std::to_string(lines.size() - kRefusedTold) + " older checkpoints were refused\n";
+    if (!change) {
+      if (!lines.empty()) refused += "no checkpoint can be used: the scene begins anew\n";
+      return false;
+    }
     try {
       change->apply(simulation, &quality);
       resumed = change->text;

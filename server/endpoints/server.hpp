@@ -66,7 +66,8 @@ class Server {
   [[nodiscard]] std::string summary() const;
   /// Where the state came from that it began with; empty: from the scene.
   [[nodiscard]] const std::string& resumed() const;
-  /// What was changed of the scene's wishes, for the log; may be empty.
+  /// Checkpoints that were refused and what was changed of the scene's wishes, for the log: lines,
+  /// or nothing.
   [[nodiscard]] std::string notes() const;
 
  private:

@@ -115,6 +115,14 @@ class Serve : public ::testing::Test {
       return force.state == suture_v1_TOOL_RENDERING && norm(force.force_n) > 0.02;
     })) << server_->output();
   }
+  /// Waits until one more checkpoint of the second is there.
+  static void await_checkpoint(const std::string& folder) {
+    const auto files = [&] {
+      return std::distance(std::filesystem::directory_iterator(folder), {});
+    };
+    const auto before = files();
+    ASSERT_TRUE(eventually([&] { return files() > before; }));
+  }
   void await_zero() {
     ASSERT_TRUE(eventually([this] { return norm(watcher_.last().force_n) == 0.0; }));
   }
@@ -892,6 +900,43 @@ TEST_F(ServedBite, KeepsGoesBackAndRestoresByCommand) {
     EXPECT_THROW(session.command(Kind::kRestore, {.checkpoint = name}), suture::Error) << name;
   EXPECT_THROW(session.command(Kind::kCheckpoint, {.checkpoint = "a/b"}), suture::Error);
   EXPECT_THROW(session.command(Kind::kRewind, {.seconds = -1.0}), suture::Error);
+}
+
+TEST_F(Serve, TellsWhyNoCheckpointCanBeUsed) {
+  const std::filesystem::path checkpoints = folder_.path("checkpoints");
+  const auto seconds = [&] {
+    std::set<std::string> files;
+    for (const auto& entry : std::filesystem::directory_iterator(checkpoints))
+      if (entry.path().extension() == ".checkpoint") files.insert(entry.path().string());
+    return files;
+  };
+  start_server({"--checkpoints", checkpoints});
+  ASSERT_TRUE(eventually([&] { return seconds().size() >= 2; }));
+  server_->send(SIGKILL);
+  server_->wait();
+  const std::set<std::string> damaged = seconds();
+  for (const std::string& file : damaged) std::filesystem::resize_file(file, 100);
+  start_server({"--checkpoints", checkpoints});
+  const std::string& told = server_->output();
+  for (const std::string& file : damaged)
+    EXPECT_NE(told.find("[warning] " + file + ": is damaged"), std::string::npos) << told;
+  EXPECT_NE(told.find("no checkpoint can be used: the scene begins anew"), std::string::npos);
+  EXPECT_EQ(told.find("resumed at"), std::string::npos);
+}
+
+TEST_F(Serve, GoesOnAfterAnEndAsAskedWhereItIsToldTo) {
+  const std::string checkpoints = folder_.path("checkpoints");
+  const auto starts_and_ends = [&](std::vector<std::string> how) {
+    how.insert(how.begin(), {"--checkpoints", checkpoints});
+    start_server(how);
+    await_checkpoint(checkpoints);
+    server_->send(SIGTERM);
+    EXPECT_EQ(server_->wait(), 0);
+    return server_->output().find("resumed at") != std::string::npos;
+  };
+  EXPECT_FALSE(starts_and_ends({"--resume", "always"})) << "there is none";
+  EXPECT_TRUE(starts_and_ends({"--resume", "always"}));
+  EXPECT_FALSE(starts_and_ends({})) << "the default begins anew after an end as asked";
 }
 
 TEST_F(Serve, WithoutAFolderRefusesWhatWantsCheckpoints) {

@@ -11,6 +11,8 @@
 namespace sutured::checkpoints {
 namespace {
 
+using ::testing::AllOf;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::SizeIs;
 
@@ -45,6 +47,10 @@ class Folder : public ::testing::Test {
   static std::uint64_t sequence_of(const CheckpointFolder::Found& found) {
     return found.checkpoint.info.sequence;
   }
+  /// 0: there is none.
+  static std::uint64_t sequence_of(const CheckpointFolder::Newest& newest) {
+    return newest.checkpoint ? newest.checkpoint->info.sequence : 0;
+  }
 
   testing::TemporaryFolder temporary_;
   std::string path_ = temporary_.path("checkpoints");
@@ -55,11 +61,10 @@ TEST_F(Folder, TakesTheOneBeforeADamagedOneAndSaysSo) {
   write_seconds(*folder, 4);
   damage(4);
   damage(3);
-  const auto found = folder->newest();
-  ASSERT_TRUE(found);
-  EXPECT_EQ(sequence_of(*found), 2U);
-  ASSERT_THAT(found->refused, SizeIs(2));
-  EXPECT_THAT(found->refused[0], HasSubstr("checksum"));
+  const auto newest = folder->newest();
+  EXPECT_EQ(sequence_of(newest), 2U);
+  ASSERT_THAT(newest.refused, SizeIs(2));
+  EXPECT_THAT(newest.refused[0], HasSubstr("checksum"));
   EXPECT_EQ(sequence_of(folder->in_the_past_of(4, 4.0)), 2U);
 }
 
@@ -69,11 +74,32 @@ TEST_F(Folder, EvenWhereItsHeadIsGoneAndAnotherServerReadsIt) {
   folder.reset();
   std::ofstream(file_of(4), std::ios::binary) << "nonsense";
   folder = open();
-  const auto found = folder->newest();
-  ASSERT_TRUE(found);
-  EXPECT_EQ(sequence_of(*found), 3U);
-  EXPECT_THAT(found->refused, SizeIs(1));
+  const auto newest = folder->newest();
+  EXPECT_EQ(sequence_of(newest), 3U);
+  EXPECT_THAT(newest.refused, SizeIs(1));
   EXPECT_EQ(write(*folder, 5.0, 3), 5U);
+}
+
+TEST_F(Folder, WhereNoneCanBeUsedEachIsTold) {
+  auto folder = open();
+  write_seconds(*folder, 2);
+  folder.reset();
+  Identity next = kIdentity;
+  next.build = "0.2.0";
+  folder = open(10, next);
+  write(*folder, 3.0, 0);
+  write(*folder, 4.0, 3);
+  damage(4);
+  EXPECT_THAT(folder->newest().refused, SizeIs(1)) << "what is another build's is not missed";
+  damage(3);
+  const auto newest = folder->newest();
+  EXPECT_FALSE(newest.checkpoint);
+  const auto tells = [&](std::uint64_t sequence, const char* why) {
+    return AllOf(HasSubstr(file_of(sequence)), HasSubstr(why));
+  };
+  EXPECT_THAT(newest.refused, ElementsAre(tells(4, "checksum"), tells(3, "checksum"),
+                                          tells(2, "sutured 0.1.0, and this is 0.2.0"),
+                                          tells(1, "sutured 0.1.0, and this is 0.2.0")));
 }
 
 TEST_F(Folder, KeepsTheLastOnes) {
@@ -154,14 +180,19 @@ TEST_F(Folder, ResumesTheOneBeforeWhereAServerDiedOnTheNewest) {
   for (std::uint64_t expected : {3, 2, 1}) {
     folder.reset();
     folder = open();
-    const auto found = folder->newest();
-    ASSERT_TRUE(found);
-    EXPECT_EQ(sequence_of(*found), expected);
+    EXPECT_EQ(sequence_of(folder->newest()), expected);
     folder->note_resumed(expected);
   }
+  folder.reset();
+  folder = open();
+  const auto none = folder->newest();
+  EXPECT_FALSE(none.checkpoint);
+  EXPECT_THAT(none.refused, ElementsAre(HasSubstr("refused by the server before"),
+                                        HasSubstr("refused by the server before"),
+                                        AllOf(HasSubstr(file_of(1)), HasSubstr("died"))));
   write(*folder, 1.5, 1);  // this one lived
   folder.reset();
-  EXPECT_EQ(sequence_of(*open()->newest()), 4U);
+  EXPECT_EQ(sequence_of(open()->newest()), 4U);
 }
 
 TEST_F(Folder, IsOneServersAlone) {
@@ -181,10 +212,10 @@ TEST_F(Folder, LeavesAnotherScenesAside) {
   Identity other = kIdentity;
   other.scene = 43;
   folder = open(2, other);
-  EXPECT_FALSE(folder->newest());
+  EXPECT_FALSE(folder->newest().checkpoint);
   EXPECT_EQ(write(*folder, 0.0, 0), 4U);
   EXPECT_FALSE(std::filesystem::exists(file_of(2)));
-  EXPECT_EQ(sequence_of(*folder->newest()), 4U);
+  EXPECT_EQ(sequence_of(folder->newest()), 4U);
 }
 
 TEST_F(Folder, NamesStayInIt) {
