@@ -10,6 +10,8 @@
 #include <array>
 #include <boost/url/parse_query.hpp>
 #include <sstream>
+#include <system_error>
+#include <utility>
 
 #include "geometry/regular_file.hpp"
 #include "protocol/types.hpp"
@@ -20,6 +22,7 @@ namespace {
 
 constexpr std::size_t kDigest = 64;  // hex digits
 constexpr std::uint64_t kFileMax = 1U << 20U;
+constexpr const char* kMend = "a token has name, sha256 and rights: docs/guide/viewer.md";
 
 std::string lower(std::string_view text) {
   std::string result(text);
@@ -57,8 +60,7 @@ std::string token_of(const Request& request) {
                               const std::string& what) {
   std::ostringstream where;
   where << file.string() << ':' << place.begin.line << ':' << place.begin.column << ": " << what;
-  throw suture::Error(suture::ErrorCode::kBadInput, where.str(),
-                      "a token has name, sha256 and rights: docs/guide/viewer.md");
+  throw suture::Error(suture::ErrorCode::kBadInput, where.str(), kMend);
 }
 
 }  // namespace
@@ -104,6 +106,10 @@ Access::Access(Options options)
   std::error_code error;
   read_at_ = std::filesystem::last_write_time(options_.tokens, error);
   tokens_ = read(options_.tokens);
+  if (tokens_.empty())
+    throw suture::Error(suture::ErrorCode::kBadInput,
+                        "the tokens " + options_.tokens.string() + ": there is no [[token]]",
+                        kMend);
 }
 
 std::vector<Access::Token> Access::read(const std::filesystem::path& file) {
@@ -121,8 +127,10 @@ std::vector<Access::Token> Access::read(const std::filesystem::path& file) {
     if (key != "token")
       refuse_file(file, value.source(), "unknown key \"" + std::string(key) + "\"");
   std::vector<Token> tokens;
+  if (!table.contains("token")) return tokens;
   const toml::array* list = table["token"].as_array();
-  if (list == nullptr) refuse_file(file, table.source(), "there is no [[token]]");
+  if (list == nullptr)
+    refuse_file(file, table["token"].node()->source(), "\"token\" must be a [[token]]");
   for (const toml::node& node : *list) {
     const toml::table* entry = node.as_table();
     if (entry == nullptr) refuse_file(file, node.source(), "\"token\" must be a [[token]]");
@@ -207,14 +215,48 @@ std::string Access::reload() {
   if (options_.tokens.empty()) return {};
   std::error_code error;
   const auto written = std::filesystem::last_write_time(options_.tokens, error);
-  if (error || written == read_at_) return {};
-  read_at_ = written;
-  try {
-    tokens_ = read(options_.tokens);
-  } catch (const suture::Error& fault) {
-    return fault.what();
+  if (error == std::errc::no_such_file_or_directory) {
+    read_at_ = {};  // whatever comes back is read, whenever it was written
+    return revoke_all("is gone");
   }
+  const std::string still =
+      tokens_.empty() ? " (there are none that hold)" : " (the tokens read before still hold)";
+  if (error) {
+    none_seen_ = false;
+    if (std::exchange(unseen_, true)) return {};
+    return "the tokens " + options_.tokens.string() + ": " + error.message() + still;
+  }
+  unseen_ = false;
+  if (written == read_at_) {
+    none_seen_ = false;
+    return {};
+  }
+  try {
+    std::vector<Token> tokens = read(options_.tokens);
+    if (tokens.empty()) {
+      // It is looked at again though it does not change, until it counts.
+      std::string told = revoke_all("lists none any more");
+      if (revoked_) read_at_ = written;
+      return told;
+    }
+    tokens_ = std::move(tokens);
+    none_seen_ = revoked_ = false;
+  } catch (const suture::Error& fault) {
+    none_seen_ = false;
+    read_at_ = written;
+    return fault.what() + still;
+  }
+  read_at_ = written;
   return {};
+}
+
+std::string Access::revoke_all(const std::string& why) {
+  unseen_ = false;
+  if (!std::exchange(none_seen_, true) || revoked_) return {};
+  revoked_ = true;
+  tokens_.clear();
+  return "the file of tokens " + options_.tokens.string() + " " + why +
+         ": all tokens are revoked, until it lists one again";
 }
 
 }  // namespace sutured::gateway

@@ -35,7 +35,7 @@ struct Grant {
 /// can come: `--http` then takes loopback addresses only. Others need TLS too, since a token
 /// in the clear is everybody's (docs/adr/0044). With a file, each WebSocket and
 /// `/metrics` asks for a token. The file holds their SHA-256, not themselves, and is read
-/// again when it changes:
+/// again when it changes; one that is gone or lists no token while the server runs revokes all:
 ///
 ///     [[token]]
 ///     name = "ward 3"
@@ -66,8 +66,9 @@ class Access {
   [[nodiscard]] std::optional<Grant> grant(const Request& request) const;
   /// Tells whether a client that was let in may stay, and renews its rights.
   [[nodiscard]] bool renew(Grant& grant) const;
-  /// Reads the file again where it changed. Returns what is wrong with it, and keeps the
-  /// tokens it had; empty where nothing is.
+  /// Reads the file again where it changed. Returns what people must be told, once; empty where
+  /// nothing is. A faulty file keeps the tokens there were. One that is gone or lists none revokes
+  /// them all, once it is so at two looks in a row: an editor that saves may empty it for a moment.
   std::string reload();
 
  private:
@@ -75,13 +76,18 @@ class Access {
     std::string name, digest;
     Rights rights;
   };
+  /// None where the file lists none. Throws suture::Error kBadInput.
   [[nodiscard]] static std::vector<Token> read(const std::filesystem::path& file);
+  [[nodiscard]] std::string revoke_all(const std::string& why);
   [[nodiscard]] const Token* find(std::string_view digest) const noexcept;
 
   Options options_;
   bool loopback_ = false;
   std::vector<Token> tokens_;
   std::filesystem::file_time_type read_at_{};
+  bool unseen_ = false;     ///< the last look could not tell whether the file is there
+  bool none_seen_ = false;  ///< the last look found no token
+  bool revoked_ = false;    ///< all, for want of any
 };
 
 /// Returns the SHA-256 of `text` in hex.

@@ -220,8 +220,7 @@ class Gateway::State : public ChannelSource {
   }
 
   void keep_house() {
-    if (const std::string fault = access_.reload(); !fault.empty())
-      options_.log(true, fault + " (the tokens read before still hold)");
+    if (const std::string word = access_.reload(); !word.empty()) options_.log(true, word);
     for (Client* client : clients_) client->renew(access_);
     const auto now = std::chrono::steady_clock::now();
     feed_.close_idle(now);

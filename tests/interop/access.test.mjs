@@ -11,6 +11,7 @@ import { createServer } from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, describe, it } from "node:test";
+import { setTimeout } from "node:timers/promises";
 import { Program, program, Server } from "../support/server.mjs";
 import { Connection } from "./clients.mjs";
 
@@ -101,6 +102,16 @@ describe("the door to other machines", { timeout: 240_000 }, () => {
     await assert.rejects(Connection.open(server.socket + "?token=s3cret", "foxglove.sdk.v1", { ca: ours }), /401/);
     await eyes.first("suture/mesh/frame");
     eyes.close();
+  });
+
+  it("shows everybody out where the file of tokens is deleted, says so, and lets them in again", async () => {
+    const eyes = await Connection.open(server.socket + "?token=look", "foxglove.sdk.v1", { ca: ours });
+    rmSync(file("tokens.toml"));
+    await assert.rejects(eyes.complaint, /closed: 1008 this token no longer holds/);
+    await assert.rejects(Connection.open(server.socket + "?token=look", "foxglove.sdk.v1", { ca: ours }), /401/);
+    await server.said("tokens.toml is gone: all tokens are revoked");
+    writeTokens({ eyes: "look" });
+    while ((await get(server.url + "metrics?token=look", { ca: ours })).status !== 200) await setTimeout(50);
   });
 
   it("ends as it should beside connections that stay open", async () => {

@@ -82,6 +82,11 @@ export class Server {
     return server;
   }
 
+  /** Waits until it has said `text`; fails where it ends before. */
+  said(text) {
+    return this.#program.said(text);
+  }
+
   /** Where its WebSocket is. */
   get socket() {
     return this.url.replace("http", "ws");

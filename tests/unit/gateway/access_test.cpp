@@ -5,6 +5,8 @@
 #include <gtest/gtest.h>
 
 #include <fstream>
+#include <functional>
+#include <vector>
 
 #include "protocol/types.hpp"
 #include "support/temporary_folder.hpp"
@@ -13,6 +15,7 @@
 namespace sutured::gateway {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 Request from(const std::string& host, const std::string& origin = {}) {
@@ -146,18 +149,81 @@ TEST_F(TokenFile, IsReadAgainWhereItChanges) {
   EXPECT_TRUE(access.renew(*grant));
   EXPECT_TRUE(grant->rights.command) << "rights change without a new connection";
 
-  write("[[token]\n");
-  EXPECT_THAT(access.reload(), HasSubstr("tokens.toml:1:"));
-  EXPECT_TRUE(access.renew(*grant)) << "a faulty file changes nothing";
+  for (const char* faulty : {"[[token]\n", "token = 3\n"}) {
+    write(faulty);
+    EXPECT_THAT(access.reload(),
+                AllOf(HasSubstr("tokens.toml:1:"), HasSubstr("tokens read before still hold")));
+    EXPECT_EQ(access.reload(), "") << "told once";
+    EXPECT_TRUE(access.renew(*grant)) << "a faulty file changes nothing";
+  }
 
   write(token("other", "0ther", "[]"));
   EXPECT_EQ(access.reload(), "");
   EXPECT_FALSE(access.renew(*grant)) << "revoked";
 }
 
+TEST_F(TokenFile, WithoutATokenAnyMoreRevokesAll) {
+  const std::string ward = token("ward", "s3cret", "[]");
+  const std::vector<std::function<void()>> ways{
+      [&] { write(""); },
+      [&] { write("# nobody\n"); },
+      [&] { write("token = []\n"); },
+      [&] { std::filesystem::remove(path_); },
+  };
+  write(ward);
+  Access access({"192.0.2.1", path_, {}, true});
+  for (std::size_t way = 0; way < ways.size(); ++way) {
+    SCOPED_TRACE(way);
+    auto grant = access.grant(with("token=s3cret"));
+    ASSERT_TRUE(grant);
+    ways[way]();
+    EXPECT_EQ(access.reload(), "");
+    EXPECT_TRUE(access.renew(*grant)) << "an editor that saves may do that";
+    write(ward);
+    EXPECT_EQ(access.reload(), "");
+    ways[way]();
+    EXPECT_EQ(access.reload(), "") << "not two looks in a row";
+    EXPECT_TRUE(access.renew(*grant));
+    EXPECT_THAT(access.reload(),
+                AllOf(HasSubstr(path_.string()), HasSubstr("all tokens are revoked")));
+    EXPECT_FALSE(access.renew(*grant));
+    EXPECT_FALSE(access.grant(with("token=s3cret")));
+    EXPECT_EQ(access.reload(), "") << "told once";
+    write("[[token]\n");
+    EXPECT_THAT(access.reload(), HasSubstr("none that hold"));
+    EXPECT_FALSE(access.grant(with("token=s3cret"))) << "a faulty file gives nothing back";
+    write(ward);
+    EXPECT_EQ(access.reload(), "");
+  }
+  EXPECT_TRUE(access.grant(with("token=s3cret")));
+}
+
+TEST_F(TokenFile, ComesBackWithTheDateThatItHad) {
+  write(token("ward", "s3cret", "[]"));
+  Access access({"192.0.2.1", path_, {}, true});
+  std::filesystem::rename(path_, folder_.path("aside"));
+  EXPECT_EQ(access.reload(), "");
+  EXPECT_THAT(access.reload(), HasSubstr("is gone"));
+  std::filesystem::rename(folder_.path("aside"), path_);
+  EXPECT_EQ(access.reload(), "");
+  EXPECT_TRUE(access.grant(with("token=s3cret")));
+}
+
+TEST_F(TokenFile, ThatCannotBeLookedAtKeepsTheTokensAndIsTold) {
+  write(token("ward", "s3cret", "[]"));
+  Access access({"192.0.2.1", path_, {}, true});
+  std::filesystem::remove(path_);
+  std::filesystem::create_symlink(path_, path_);  // stat fails: too many links
+  EXPECT_THAT(access.reload(), HasSubstr("tokens read before still hold"));
+  EXPECT_EQ(access.reload(), "") << "told once";
+  EXPECT_TRUE(access.grant(with("token=s3cret")));
+}
+
 TEST_F(TokenFile, NamesTheFaultAndItsPlace) {
   EXPECT_THAT(refusal(), HasSubstr("tokens.toml: cannot be opened"));  // there is none
   write("");
+  EXPECT_THAT(refusal(), HasSubstr("there is no [[token]]"));
+  write("token = []");
   EXPECT_THAT(refusal(), HasSubstr("there is no [[token]]"));
   write("[[token]]\nname = \"a\"\nsha256 = \"abc\"\nrights = []\n");
   EXPECT_THAT(refusal(), HasSubstr("64 hex digits"));
