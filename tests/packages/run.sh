@@ -117,6 +117,9 @@ if [ -n "$leader" ] && booted systemctl is-active --quiet multi-user.target; the
   grep -q '^anastomosis .* running ' "$root/job/sessions" || fail "a service that is ready is not listed"
   property StatusText | grep -q 'serving scene' || fail "no status"
   booted suture top --once --session anastomosis --domain $domain | grep 'real time\|CAP_'
+  # Real time and locked memory for the forces.
+  [ "$(property LimitRTPRIO)" = 80 ] || fail "real time is limited to $(property LimitRTPRIO)"
+  [ "$(property LimitMEMLOCK)" = infinity ] || fail "locked memory is limited to $(property LimitMEMLOCK)"
   # The sandbox: nobody's user, and nothing to write but its own state.
   [ "$(booted stat -c %U "/proc/$(property MainPID)")" != root ] || fail "the service runs as root"
   await booted sh -c 'ls /var/lib/sutured/anastomosis/* >/dev/null 2>&1'

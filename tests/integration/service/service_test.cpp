@@ -183,6 +183,13 @@ TEST_F(Unit, IsWhatSystemdUnderstands) {
   EXPECT_THAT(testing::read_file(template_), ::testing::Not(HasSubstr("@SUTURED")));
 }
 
+// Without them the force threads run as ordinary ones, in memory that may be paged out.
+TEST_F(Unit, LetsTheForcesHaveRealTimeAndLockedMemory) {
+  const std::string unit = testing::read_file(template_);
+  for (const char* limit : {"\nLimitRTPRIO=80\n", "\nLimitMEMLOCK=infinity\n"})
+    EXPECT_THAT(unit, HasSubstr(limit));
+}
+
 TEST_F(Unit, IsShutInAsFarAsItCanBe) {
   // Tenths of systemd's points from 0 to 100; what is left is the network, real time and the
   // gateway's choice of addresses.
