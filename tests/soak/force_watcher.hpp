@@ -13,13 +13,21 @@
 
 namespace sutured::soak {
 
+/// More than a hand that touches nothing feels.
+inline constexpr double kFelt_n = 0.02;
+
 /// Hears every force of a tool, and keeps the worst of each kind.
 class ForceWatcher {
  public:
   struct Worst {
     std::uint64_t forces = 0, answers = 0;
+    std::uint64_t felt = 0;  ///< forces above `kFelt_n`
     double force_n = 0.0, step_n = 0.0;
     double over_slew = 0.0;  ///< largest step over what the slew limit allows for its time
+    /// The steepest fall without a new pose, over the largest force, 1/s; and how often one took a
+    /// force that was felt to zero.
+    double fall_per_s = 0.0;
+    int fades = 0;
     std::uint32_t model_age_us = 0, faults = 0;
     bool rendering = false;  ///< the last force was the model's
   };
@@ -54,6 +62,7 @@ class ForceWatcher {
       // Not finite: more than any limit.
       const double magnitude = norm(force.force_n);
       worst_.force_n = std::max(worst_.force_n, std::isfinite(magnitude) ? magnitude : HUGE_VAL);
+      worst_.felt += magnitude > kFelt_n ? 1 : 0;
       if (force.state == suture_v1_TOOL_RENDERING && force.model_age_us != UINT32_MAX)
         worst_.model_age_us = std::max(worst_.model_age_us, force.model_age_us);
       if (last_.sequence_number != 0 && force.sequence_number > last_.sequence_number) {
@@ -65,6 +74,14 @@ class ForceWatcher {
         worst_.step_n = std::max(worst_.step_n, norm(step_n));
         worst_.over_slew =
             std::max(worst_.over_slew, norm(step_n) / (max_slew_n_per_s_ * elapsed_s));
+        if ((force.flags & suture_v1_FORCE_FROM_SUPERVISOR) != 0 && worst_.force_n > 0.0)
+          worst_.fall_per_s = std::max(
+              worst_.fall_per_s, (norm(last_.force_n) - magnitude) / (worst_.force_n * elapsed_s));
+      }
+      largest_n_ = std::max(largest_n_, magnitude);
+      if (magnitude == 0.0) {
+        worst_.fades += largest_n_ > kFelt_n ? 1 : 0;
+        largest_n_ = 0.0;
       }
       last_ = force;
     }
@@ -77,6 +94,7 @@ class ForceWatcher {
   std::atomic<bool> ready_{false};
   std::mutex mutex_;
   suture::v1::ToolForce last_{};
+  double largest_n_ = 0.0;  // since the last that was zero
   Worst worst_;
   suture::Reader<suture::v1::ToolForce> reader_;
 };

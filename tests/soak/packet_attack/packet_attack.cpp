@@ -21,7 +21,6 @@
 #include <thread>
 #include <vector>
 
-#include "protocol/surgeon.hpp"
 #include "soak/force_watcher.hpp"
 #include "soak/long_session.hpp"
 #include "support/client_options.hpp"
@@ -40,7 +39,13 @@ using Random = std::mt19937_64;
 
 // Within 50 ms of the last force, and a tick or two to see it.
 constexpr std::chrono::milliseconds kFaded{60};
-constexpr std::size_t kHeader = 20;  // "RTPS", version, vendor, GUID prefix
+// Of the fade that a silent server's force is taken to zero by: a smoothstep within 30 ms.
+constexpr double kFadeSlope_per_s = 1.5 / 0.030;
+const std::string kTool = "probe";
+constexpr std::size_t kPool = 512;          // of live packets
+constexpr std::uint64_t kBurst = 64;        // packets between two looks at what they do
+constexpr std::uint64_t kFeltMax = 20'000;  // packets at a hand that feels, at most
+constexpr std::size_t kHeader = 20;         // "RTPS", version, vendor, GUID prefix
 
 std::size_t below(Random& random, std::size_t n) { return static_cast<std::size_t>(random() % n); }
 
@@ -185,32 +190,63 @@ Bytes mutated(Random& random, const std::vector<Bytes>& pool) {
   return packet;
 }
 
-/// A hand that sews to and fro, and comes again whenever the server has lost it.
+/// Where a probe presses on the proximal vessel, 0.7 mm deep and to and fro, `time_s` after it
+/// came: it is felt for as long as poses arrive, and needs nothing in its jaw to be felt again.
+suture::Hand pressing(double time_s) {
+  constexpr double kAway_m = 0.012, kDeep_m = 0.0073, kApproach_s = 0.6;
+  suture::Hand hand;
+  hand.in_world = true;
+  const double near = std::min(time_s / kApproach_s, 1.0);
+  hand.position_m = {kAway_m + near * (kDeep_m - kAway_m), 0.0, -0.008};
+  if (near == 1.0) hand.position_m[0] += 2e-4 * std::sin(7.0 * (time_s - kApproach_s));
+  return hand;
+}
+
+/// A hand that presses, and comes again whenever the server has lost it.
 class Hand {
  public:
-  Hand(const suture::ParticipantOptions& session, suture::SurgeonTrack track)
-      : track_(std::move(track)) {
+  explicit Hand(const suture::ParticipantOptions& session) {
     options_.domain = session.domain;
     options_.session = session.session;
-    options_.tool = track_.tool;
+    options_.tool = kTool;
     options_.timeout = std::chrono::seconds(20);
+    // Then the server has lost us: nothing holds a force back for so long.
+    options_.give_up_after = std::chrono::milliseconds(500);
+    options_.on_force = [this](const suture::Force& force) {
+      arrived_n_ = std::max(arrived_n_.load(), magnitude_n(force));
+    };
     thread_ = std::thread([this] { live(); });
   }
-  ~Hand() {
-    over_ = true;
-    thread_.join();
-  }
+  ~Hand() { leave(); }
   Hand(const Hand&) = delete;
   Hand& operator=(const Hand&) = delete;
+  /// Lets go, for good.
+  void leave() {
+    over_ = true;
+    if (thread_.joinable()) thread_.join();
+  }
   [[nodiscard]] int comings() const { return comings_; }
+  /// Whether there is a force at the hand now.
+  [[nodiscard]] bool feels() const { return now_n_ > kFelt_n; }
+  [[nodiscard]] bool stopped() const { return stopped_; }
   [[nodiscard]] double force_n() const { return force_n_; }
   /// The largest force while none of the server's had come for `kFaded`.
   [[nodiscard]] double starved_force_n() const { return starved_force_n_; }
+  /// How often a silence took a force that was felt to zero, and the steepest such fall over what
+  /// the fade allows.
+  [[nodiscard]] int fades() const { return fades_; }
+  [[nodiscard]] double over_fade() const { return over_fade_; }
   [[nodiscard]] double longest_silence_ms() const {
     return 1e-6 * static_cast<double>(longest_ns_);
   }
 
  private:
+  using Clock = std::chrono::steady_clock;
+  static double magnitude_n(const suture::Force& force) {
+    const double n = std::hypot(force.force_n[0], force.force_n[1], force.force_n[2]);
+    return std::isfinite(n) ? n : HUGE_VAL;
+  }
+
   void live() {
     while (!over_) {
       try {
@@ -218,31 +254,48 @@ class Hand {
         ++comings_;
         std::uint64_t sequence = 0;
         std::chrono::nanoseconds silence{0};
+        double last_n = 0.0, felt_n = 0.0;  // at the last tick; when the silence began
+        const Clock::time_point begun = Clock::now();
+        Clock::time_point woken = begun;  // before the last force was read, at the latest
         device.run([&](const suture::Force& force,
                        std::chrono::nanoseconds elapsed) -> std::optional<suture::Hand> {
           if (over_) return std::nullopt;
-          const double n = std::hypot(force.force_n[0], force.force_n[1], force.force_n[2]);
-          force_n_ = std::max(force_n_.load(), std::isfinite(n) ? n : HUGE_VAL);
-          silence = force.sequence == sequence ? silence + elapsed : std::chrono::nanoseconds{0};
+          const double n = magnitude_n(force);
+          now_n_ = n;
+          stopped_ = force.state == suture::ForceState::kStopped;
+          force_n_ = std::max(force_n_.load(), n);
+          if (force.sequence == sequence) {
+            silence += elapsed;
+            const double between_s = std::chrono::duration<double>(Clock::now() - woken).count();
+            over_fade_ = std::max(
+                over_fade_.load(),
+                (last_n - n) / (kFadeSlope_per_s * std::max(arrived_n_.load(), 1e-9) * between_s));
+            if (n == 0.0 && last_n > 0.0 && felt_n > kFelt_n) ++fades_;
+          } else {
+            silence = std::chrono::nanoseconds{0};
+            felt_n = n;
+          }
           sequence = force.sequence;
+          last_n = n;
+          woken += elapsed;
           if (silence > kFaded) starved_force_n_ = std::max(starved_force_n_.load(), n);
           longest_ns_ = std::max<std::int64_t>(longest_ns_, silence.count());
-          const double now_s =
-              std::chrono::duration<double>(std::chrono::steady_clock::now() - begun_).count();
-          return to_and_fro(track_, now_s);
+          return pressing(std::chrono::duration<double>(Clock::now() - begun).count());
         });
       } catch (const suture::Error& error) {
-        std::printf("  the device: %s\n", error.what());
+        if (error.code() != suture::ErrorCode::kNoServer)
+          std::printf("  the device: %s\n", error.what());
       }
+      now_n_ = 0.0;
+      stopped_ = false;
     }
   }
 
   suture::DeviceOptions options_;
-  suture::SurgeonTrack track_;
-  const std::chrono::steady_clock::time_point begun_ = std::chrono::steady_clock::now();
-  std::atomic<bool> over_{false};
-  std::atomic<int> comings_{0};
-  std::atomic<double> force_n_{0.0}, starved_force_n_{0.0};
+  std::atomic<bool> over_{false}, stopped_{false};
+  std::atomic<int> comings_{0}, fades_{0};
+  std::atomic<double> now_n_{0.0}, force_n_{0.0}, arrived_n_{0.0};
+  std::atomic<double> starved_force_n_{0.0}, over_fade_{0.0};
   std::atomic<std::int64_t> longest_ns_{0};
   std::thread thread_;
 };
@@ -271,34 +324,35 @@ int attack(const Options& options) {
     throw std::runtime_error("the server did not start: " + server.output());
   const std::set<std::uint16_t> theirs = testing::udp_ports(server.pid());
 
-  const suture::SurgeonTrack track = suture::read_surgeon(kFolder + "one_bite.csv").tracks.at(0);
   const suture::Participant participant(session, suture::Channel::kControl);
-  ForceWatcher watcher(participant, track.tool, kMaxSlew_n_per_s);
-  Hand hand(session, track);
-  const auto is_felt = [&](ForceWatcher& by) {
-    const std::uint64_t answers = by.worst().answers;
+  ForceWatcher watcher(participant, kTool, kMaxSlew_n_per_s);
+  Hand hand(session);
+  Random random(options.seed);
+  std::vector<Bytes> pool;
+  Tap tap;
+  // Waits for a force at the hand, and goes on taking what must be taken meanwhile. A pose with one
+  // bit flipped may have stopped the tool, as a hand's own would: people resume.
+  const auto await_felt = [&] {
     return testing::eventually(
         [&] {
           server.drain();
-          const ForceWatcher::Worst now = by.worst();
-          return now.rendering && now.answers >= answers + 500;
+          if (tap.open()) tap.take(theirs, pool, kPool, random);
+          if (hand.stopped()) resume(session);
+          return hand.feels();
         },
-        std::chrono::seconds(120));
+        std::chrono::seconds(60));
   };
-  if (!is_felt(watcher)) throw std::runtime_error("the device feels nothing before the attack");
+  if (!await_felt()) throw std::runtime_error("the device feels nothing before the attack");
   // Ports that are ours too (multicast) would have us attacked.
   std::vector<std::uint16_t> ports;
   const std::set<std::uint16_t> ours = testing::udp_ports(getpid());
   std::set_difference(theirs.begin(), theirs.end(), ours.begin(), ours.end(),
                       std::back_inserter(ports));
 
-  Random random(options.seed);
-  std::vector<Bytes> pool;
-  Tap tap;
   if (tap.open())
     testing::eventually([&] {
-      tap.take(theirs, pool, 512, random);
-      return pool.size() >= 256;
+      tap.take(theirs, pool, kPool, random);
+      return pool.size() >= kPool / 2;
     });
   // A process that was killed and not yet waited for has no memory.
   const auto lives = [&] {
@@ -306,21 +360,19 @@ int attack(const Options& options) {
     return now_kib > 0.0 && std::isfinite(now_kib);
   };
   const double before_kib = testing::resident_kib(server.pid());
-  const std::uint64_t forces_before = watcher.worst().forces;
   std::printf("%zu ports, %zu live packets%s\n", ports.size(), pool.size(),
               tap.open() ? "" : " (none: to read them takes root)");
 
   const int udp = socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
   std::uint64_t sent = 0, left_out = 0, kinds[3] = {};
-  const auto begun = std::chrono::steady_clock::now();
-  while (sent < options.packets && !ports.empty()) {
+  const auto send_one = [&] {
     const std::uint64_t kind = pool.empty() ? random() % 2 : random() % 8 < 6 ? 2 : random() % 2;
     const Bytes packet = kind == 0   ? noise(random)
                          : kind == 1 ? rtps_shaped(random, pool)
                                      : mutated(random, pool);
     if (!options.discovery && may_be_discovery(packet)) {
       ++left_out;
-      continue;
+      return;
     }
     sockaddr_in to{};
     to.sin_family = AF_INET;
@@ -328,44 +380,90 @@ int attack(const Options& options) {
     to.sin_port = htons(ports[below(random, ports.size())]);
     (void)sendto(udp, packet.data(), packet.size(), 0, reinterpret_cast<sockaddr*>(&to), sizeof to);
     ++kinds[kind];
-    if (++sent % 64 == 0) {
-      if (!lives()) break;
+    ++sent;
+  };
+  // Sends up to the packet `last`, `per_second`, while `goes_on(sent)` after each burst.
+  const auto send_to = [&](std::uint64_t last, double per_second, const auto& goes_on) {
+    const auto pause = std::chrono::duration_cast<std::chrono::nanoseconds>(
+        std::chrono::duration<double>(static_cast<double>(kBurst) / per_second));
+    auto due = std::chrono::steady_clock::now();
+    while (sent < last && !ports.empty()) {
+      for (const std::uint64_t end = std::min(last, sent + kBurst); sent < end;) send_one();
       server.drain();  // Cyclone tells of each bad packet
-      if (tap.open()) tap.take(theirs, pool, 512, random);
-      std::this_thread::sleep_until(  // a pace, not a condition
-          begun +
-          std::chrono::duration_cast<std::chrono::nanoseconds>(
-              std::chrono::duration<double>(static_cast<double>(sent) / options.per_second)));
+      if (tap.open()) tap.take(theirs, pool, kPool, random);
+      if (!lives() || !goes_on()) return;
+      due = std::max(due + pause, std::chrono::steady_clock::now() - pause);
+      std::this_thread::sleep_until(due);  // a pace, not a condition
     }
-  }
-  const double took_s =
-      std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count();
+  };
+  const auto begun = std::chrono::steady_clock::now();
+  const auto elapsed_s = [&] {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count();
+  };
+
+  // At a hand that feels: whenever that has ended (a forged sequence number makes the server deaf
+  // to the true ones), the attack waits for it.
+  const ForceWatcher::Worst before = watcher.worst();
+  int waits = 0;
+  send_to(std::min(options.packets / 8, kFeltMax), options.per_second / 4.0, [&] {
+    if (hand.feels()) return true;
+    ++waits;
+    return await_felt();
+  });
+  const bool was_felt = await_felt();
+  const ForceWatcher::Worst felt = watcher.worst();
+  const double felt_s = elapsed_s();
+  const std::uint64_t felt_sent = sent;
+
+  // And at full rate, whether it feels or not.
+  send_to(options.packets, options.per_second, [] { return true; });
+  const double took_s = elapsed_s() - felt_s;
   close(udp);
   const ForceWatcher::Worst during = watcher.worst();
   const double after_kib = testing::resident_kib(server.pid());
   bool recovers = lives();
+  ForceWatcher::Worst afterwards;
   if (recovers) {
-    // A pose with one bit flipped may have stopped the tool, as a hand's own would: people resume.
     resume(session);
-    // The server may have forgotten whoever listened: another looks.
+    // The server may have forgotten whoever listened: another looks, until the hand lets go.
     const suture::Participant another(session, suture::Channel::kControl);
-    ForceWatcher fresh(another, track.tool, kMaxSlew_n_per_s);
-    recovers = is_felt(fresh);
+    ForceWatcher fresh(another, kTool, kMaxSlew_n_per_s);
+    const auto eventually = [&](const auto& holds) {
+      return testing::eventually(
+          [&] {
+            server.drain();
+            return holds(fresh.worst());
+          },
+          std::chrono::seconds(60));
+    };
+    recovers =
+        await_felt() && eventually([](const ForceWatcher::Worst& now) { return now.felt >= 500; });
+    hand.leave();
+    eventually([](const ForceWatcher::Worst& now) { return now.fades > 0; });
+    afterwards = fresh.worst();
   }
   const ForceWatcher::Worst worst = watcher.worst();
   server.send(SIGTERM);
   const int code = server.wait();
 
   const auto number = [](std::uint64_t value) { return static_cast<unsigned long long>(value); };
+  const std::uint64_t felt_forces = felt.felt - before.felt;
   std::printf(
-      "%llu packets in %.1f s (%llu noise, %llu shaped, %llu mutated; %llu of discovery left out)\n"
-      "  forces during  %.0f a second, at most %.0f ms apart; the device came %d times\n"
-      "  force          at most %.4f N, %.2f of what the slew allows; %.4f N at the hand\n"
-      "  faults         %s\n"
-      "  memory         %+.0f KiB\n",
-      number(sent), took_s, number(kinds[0]), number(kinds[1]), number(kinds[2]), number(left_out),
-      static_cast<double>(during.forces - forces_before) / took_s, hand.longest_silence_ms(),
-      hand.comings(), worst.force_n, worst.over_slew, hand.force_n(),
+      "%llu packets (%llu noise, %llu shaped, %llu mutated; %llu of discovery left out)\n"
+      "  at a hand that feels  %llu in %.1f s; %llu forces felt, %d times waited for\n"
+      "  at full rate          %llu in %.1f s; %.0f forces a second\n"
+      "  the device            came %d times, at most %.0f ms without a force\n"
+      "  fades                 %d by the server, the steepest %.2f of what a fade may; at the "
+      "hand, "
+      "where the server was silent, %d, %.2f\n"
+      "  force                 at most %.4f N, %.2f of what the slew allows; %.4f N at the hand\n"
+      "  faults                %s\n"
+      "  memory                %+.0f KiB\n",
+      number(sent), number(kinds[0]), number(kinds[1]), number(kinds[2]), number(left_out),
+      number(felt_sent), felt_s, number(felt_forces), waits, number(sent - felt_sent), took_s,
+      static_cast<double>(during.forces - felt.forces) / took_s, hand.comings(),
+      hand.longest_silence_ms(), worst.fades, worst.fall_per_s / kFadeSlope_per_s, hand.fades(),
+      hand.over_fade(), worst.force_n, worst.over_slew, hand.force_n(),
       suture::fault_names(worst.faults).c_str(), after_kib - before_kib);
   int failed = 0;
   const auto expect = [&](bool holds, const char* what) {
@@ -375,10 +473,16 @@ int attack(const Options& options) {
   expect(!ports.empty(), "the server listens at ports of its own");
   expect(sent == options.packets && after_kib > 0.0 && std::isfinite(after_kib),
          "the server lives");
+  // Each burst found a force at the hand: two forces for each, where it is sent in 64 ms.
+  expect(was_felt && felt_forces >= felt_sent / kBurst * 2, "forces are felt while packets come");
   expect(
       worst.force_n <= kMaxForce_n * (1.0 + 1e-9) && hand.force_n() <= kMaxForce_n * (1.0 + 1e-9),
       "forces are within the tool's limit");
   expect(worst.over_slew <= 1.0, "force steps are within the tool's slew limit");
+  expect(afterwards.fades > 0, "the force of a hand that lets go ends");
+  expect(std::max(worst.fall_per_s, afterwards.fall_per_s) <= kFadeSlope_per_s &&
+             hand.over_fade() <= 1.0,
+         "a force that nothing follows fades, and does not fall");
   expect(hand.starved_force_n() == 0.0, "a hand that gets no forces feels none after 60 ms");
   expect(recovers, "a device is served again after it");
   expect(code == 0, "the server ends as it was asked to");
