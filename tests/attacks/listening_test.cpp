@@ -1,17 +1,22 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What a running server hears: nothing but what is sent to the address it was told.
+// What a running server hears: nothing but what is sent to the address it was told, and where peers
+// are listed, nothing but what these send.
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <ifaddrs.h>
+#include <net/if.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <map>
 #include <set>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "support/process.hpp"
@@ -59,30 +64,119 @@ std::vector<Socket> sockets_of(pid_t process, const std::string& table) {
   return sockets;
 }
 
-void send_to(const std::string& address, unsigned port) {
+in_addr number_of(const std::string& address) {
+  in_addr number{};
+  EXPECT_EQ(inet_pton(AF_INET, address.c_str(), &number), 1) << address;
+  return number;
+}
+
+/// An address as the kernel writes it.
+std::string by_the_kernel(const std::string& address) {
+  char text[9];
+  std::snprintf(text, sizeof text, "%08X", number_of(address).s_addr);
+  return text;
+}
+
+/// Enough to tell them from what a server says to itself meanwhile, some datagrams a second, and
+/// few enough for the buffer of a socket.
+constexpr unsigned long long kDatagrams = 64;
+
+/// Sends `kDatagrams` to an address of this machine, from another of its own where that is said.
+void send_some(const std::string& to, unsigned port, const std::string& from) {
   const int socket = ::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
-  sockaddr_in to{};
-  to.sin_family = AF_INET;
-  to.sin_port = htons(static_cast<std::uint16_t>(port));
-  inet_pton(AF_INET, address.c_str(), &to.sin_addr);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  if (!from.empty()) {
+    address.sin_addr = number_of(from);
+    EXPECT_EQ(::bind(socket, reinterpret_cast<sockaddr*>(&address), sizeof address), 0) << from;
+  }
+  address.sin_addr = number_of(to);
+  address.sin_port = htons(static_cast<std::uint16_t>(port));
   const char text[] = "is anybody there";
-  EXPECT_GT(::sendto(socket, text, sizeof text, 0, reinterpret_cast<sockaddr*>(&to), sizeof to), 0);
+  for (unsigned long long i = 0; i < kDatagrams; ++i)
+    EXPECT_GT(::sendto(socket, text, sizeof text, 0, reinterpret_cast<sockaddr*>(&address),
+                       sizeof address),
+              0);
   ::close(socket);
 }
 
-TEST(Listening, AServerHearsOneAddressAlone) {
-  constexpr const char* kHere = "0100007F";  // 127.0.0.1, as the kernel writes it
-  constexpr const char* kAny = "00000000";
+/// The first interface of this machine that is not loopback and its address; empty: none.
+std::pair<std::string, std::string> outside() {
+  ifaddrs* all = nullptr;
+  if (getifaddrs(&all) != 0) return {};
+  std::pair<std::string, std::string> found;
+  for (const ifaddrs* each = all; each != nullptr && found.first.empty(); each = each->ifa_next) {
+    if (each->ifa_addr == nullptr || each->ifa_addr->sa_family != AF_INET ||
+        (each->ifa_flags & IFF_LOOPBACK) != 0 || (each->ifa_flags & IFF_UP) == 0)
+      continue;
+    char text[INET_ADDRSTRLEN] = "";
+    inet_ntop(AF_INET, &reinterpret_cast<const sockaddr_in*>(each->ifa_addr)->sin_addr, text,
+              sizeof text);
+    found = {each->ifa_name, text};
+  }
+  freeifaddrs(all);
+  return found;
+}
+
+/// Where a datagram goes and where it comes from; "": from where it goes.
+struct Way {
+  std::string to, from;
+};
+
+/// What a server is told, and what it hears then.
+struct Network {
+  std::string name, here;
+  std::vector<std::string> told;
+  std::vector<Way> heard, dropped;
+};
+
+std::ostream& operator<<(std::ostream& to, const Network& network) { return to << network.name; }
+
+/// Every address of 127.0.0.0/8 is this machine.
+std::vector<Network> networks() {
+  std::vector<Network> all{{"Loopback",
+                            "127.0.0.1",
+                            {},
+                            {{"127.0.0.1", ""}, {"127.0.0.1", "127.0.0.3"}},
+                            {{"127.0.0.2", ""}}},
+                           {"ListedPeer",
+                            "127.0.0.1",
+                            {"--peer", "127.0.0.2"},
+                            {{"127.0.0.1", "127.0.0.2"}, {"127.0.0.1", "127.0.0.1"}},
+                            {{"127.0.0.1", "127.0.0.3"}, {"127.0.0.2", "127.0.0.2"}}}};
+  const auto [name, address] = outside();
+  all.push_back({"NamedInterface",
+                 address,
+                 {"--interface", name, "--unsecured-network"},
+                 {{address, ""}},
+                 {{"127.0.0.1", ""}, {"127.0.0.2", ""}}});
+  return all;
+}
+
+class Listening : public ::testing::TestWithParam<Network> {};
+
+TEST_P(Listening, AServerHearsOneAddressAlone) {
+  const Network& network = GetParam();
+  if (network.here.empty()) GTEST_SKIP() << "this machine has no interface but loopback";
+  const std::string web = by_the_kernel("127.0.0.1"), here = by_the_kernel(network.here);
+  const std::string any = by_the_kernel("0.0.0.0");
   const suture::ParticipantOptions session = testing::own_session();
-  testing::Process server({SUTURED_PROGRAM, "serve",
-                           SUTURED_SOURCE_DIR "/server/scenes/anastomosis/scene.toml", "--domain",
-                           std::to_string(session.domain), "--session", session.session, "--http",
-                           "127.0.0.1:0"});
-  server.read_until("viewer at");
+  std::vector<std::string> command{SUTURED_PROGRAM,
+                                   "serve",
+                                   SUTURED_SOURCE_DIR "/server/scenes/anastomosis/scene.toml",
+                                   "--domain",
+                                   std::to_string(session.domain),
+                                   "--session",
+                                   session.session,
+                                   "--http",
+                                   "127.0.0.1:0"};
+  command.insert(command.end(), network.told.begin(), network.told.end());
+  testing::Process server(command);
+  ASSERT_NE(server.read_until("viewer at").find("viewer at"), std::string::npos) << server.output();
 
   for (const char* table : {"tcp", "tcp6", "udp6", "raw", "raw6"})
     for (const Socket& socket : sockets_of(server.pid(), table))
-      EXPECT_EQ(socket.address, kHere) << table << " port " << socket.port;
+      EXPECT_EQ(socket.address, web) << table << " port " << socket.port;
 
   // Cyclone DDS binds its ears to every address; the kernel keeps from them what is not ours.
   const auto dropped = [&](unsigned port) {
@@ -92,18 +186,31 @@ TEST(Listening, AServerHearsOneAddressAlone) {
   };
   int ears = 0;
   for (const Socket& socket : sockets_of(server.pid(), "udp")) {
-    if (socket.address == kHere) continue;
-    ASSERT_EQ(socket.address, kAny) << "port " << socket.port;
+    if (socket.address == here) continue;
+    ASSERT_EQ(socket.address, any) << "port " << socket.port;
     ++ears;
-    const unsigned long long before = dropped(socket.port);
-    send_to("127.0.0.2", socket.port);  // this machine as well, and not the address named
-    EXPECT_TRUE(testing::eventually([&] { return dropped(socket.port) == before + 1; }))
-        << "port " << socket.port << " hears another address";
-    send_to("127.0.0.1", socket.port);
-    EXPECT_EQ(dropped(socket.port), before + 1) << "port " << socket.port << " is deaf";
+    for (const Way& way : network.dropped) {
+      const unsigned long long before = dropped(socket.port);
+      send_some(way.to, socket.port, way.from);
+      EXPECT_TRUE(testing::eventually([&] { return dropped(socket.port) >= before + kDatagrams; }))
+          << "port " << socket.port << " hears " << way.from << " at " << way.to;
+    }
+    for (const Way& way : network.heard) {
+      const unsigned long long before = dropped(socket.port);
+      send_some(way.to, socket.port, way.from);
+      // They come in order: once others are dropped, those before them have been heard.
+      const Way& other = network.dropped.front();
+      send_some(other.to, socket.port, other.from);
+      EXPECT_TRUE(testing::eventually([&] { return dropped(socket.port) >= before + kDatagrams; }));
+      EXPECT_LT(dropped(socket.port), before + kDatagrams * 3 / 2)
+          << "port " << socket.port << " is deaf to " << way.from << " at " << way.to;
+    }
   }
   EXPECT_GE(ears, 4);  // two domains, discovery and data
 }
+
+INSTANTIATE_TEST_SUITE_P(Of, Listening, ::testing::ValuesIn(networks()),
+                         [](const auto& tested) { return tested.param.name; });
 
 }  // namespace
 }  // namespace sutured
