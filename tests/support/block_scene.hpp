@@ -55,4 +55,26 @@ inline simulation::ToolInput tool_at(const geometry::Vec3& position_m, double ja
   return input;
 }
 
+/// An arc needle of 4 mm radius before the block, tip down at x = −4 mm, with a thread.
+inline scene::Scene swaged_scene(scene::ThreadTail tail) {
+  using geometry::Vec3;
+  scene::Scene scene = block_scene(6);
+  scene.contact.enabled = false;
+  scene::Needle& needle = scene.needles[0];
+  needle.shape = scene::NeedleShape::kArc;
+  needle.radius_m = 4e-3;
+  needle.arc_deg = 180.0;
+  needle.pose.position_m = Vec3(0.0, 4e-4, 1e-3);
+  needle.pose.orientation = Eigen::AngleAxisd(0.5 * EIGEN_PI, Vec3::UnitX());
+  scene.tissues[0].puncture_force_n = 0.02;
+  scene.tissues[0].friction_n_s_per_m2 = 2.0;
+  scene::Thread thread;
+  thread.name = "thread";
+  thread.needle = "needle";
+  thread.tail = tail;
+  thread.length_m = 0.05;
+  scene.threads.push_back(thread);
+  return scene;
+}
+
 }  // namespace sutured::testing

@@ -90,6 +90,13 @@ class Hands {
     return sim.threads()[static_cast<std::size_t>(index)];
   }
 
+  /// A point of the first needle, from its tail (0) to its tip (1).
+  [[nodiscard]] Vec3 on_needle(double share) const {
+    const needle::Curve curve = needle::Curve::of(scene.needles[0]);
+    const auto& state = sim.needles()[0];
+    return curve.point({state.position_m, state.orientation}, share * curve.length_m());
+  }
+
   /// Returns the displacements of all vertices, 3n, brought up to the last step.
   [[nodiscard]] std::vector<double> displacements_m() {
     sim.update_displacements();

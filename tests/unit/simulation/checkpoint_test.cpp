@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <string>
 #include <vector>
 
@@ -122,6 +123,99 @@ TEST(Checkpoint, WithoutCachesForcesAreTheSameUpToRounding) {
   // K's condition is some 1e4: rounding of 1e-16 shows below 1e-9 of the force.
   EXPECT_LT((other.responses()[0].wrench - hands.response(0).wrench).head<3>().norm(),
             1e-7 * hands.force_n(0).norm());
+}
+
+/// Expects the same thread in both: the same bites at the same rest positions, now within
+/// `tolerance_m` of each other, and the same holders of its ends.
+void expect_same_bites(const ThreadState& actual, const ThreadState& expected, double tolerance_m) {
+  ASSERT_EQ(actual.punctures.size(), expected.punctures.size());
+  for (std::size_t i = 0; i < expected.punctures.size(); ++i) {
+    const ThreadPuncture &a = actual.punctures[i], &b = expected.punctures[i];
+    EXPECT_EQ(a.tissue, b.tissue) << i;
+    EXPECT_EQ(a.inward, b.inward) << i;
+    EXPECT_EQ(a.rest_position_m, b.rest_position_m) << i;
+    EXPECT_LE((a.position_m - b.position_m).norm(), tolerance_m) << i;
+    EXPECT_LE(std::abs(a.arc_length_m - b.arc_length_m), tolerance_m) << i;
+  }
+  EXPECT_EQ(actual.head, expected.head);
+  EXPECT_EQ(actual.head_holder, expected.head_holder);
+  EXPECT_EQ(actual.tail, expected.tail);
+  EXPECT_EQ(actual.tail_holder, expected.tail_holder);
+  EXPECT_EQ(actual.taut, expected.taut);
+}
+
+/// Returns how far apart the tissues of both lie at most.
+double farthest_m(Simulation& first, Simulation& second) {
+  first.update_displacements();
+  second.update_displacements();
+  double farthest = 0.0;
+  for (std::size_t v = 0; v < first.positions_m().size(); ++v)
+    farthest = std::max(farthest, (first.positions_m()[v] - second.positions_m()[v]).norm());
+  return farthest;
+}
+
+/// Some hundredfold what rounding comes to, of movements of a millimetre and more.
+constexpr double kRounding_m = 1e-12;
+
+/// What a server resumes from: two vessels half pulled together by a thread through twenty
+/// punctures, which goes on pulling.
+TEST(Checkpoint, WithoutCachesAClosureIsPulledOn) {
+  testing::ClosureOptions options;
+  options.shortening_m = testing::closing_shortening_m(20);
+  options.speed_m_per_s = 30e-3;
+  const testing::Closure closure = testing::closure_scene(options);
+  const double dt_s = 1.0 / closure.scene.rate_hz;
+  Simulation simulation(closure.scene);
+  for (int i = 0; i < 10; ++i) simulation.step({}, dt_s);
+  simulation.update_displacements();
+  const double cut_gap_m = testing::mean_gap_m(closure, simulation.positions_m());
+  Simulation other(closure.scene);
+  restore(other, saved(simulation, Caches::kLeftOut));
+  ASSERT_EQ(other.threads()[0].punctures.size(), 20U);
+  expect_same_bites(other.threads()[0], simulation.threads()[0], 0.0);
+  for (int i = 0; i < 20; ++i) {
+    simulation.step({}, dt_s);
+    other.step({}, dt_s);
+    ASSERT_LT(farthest_m(other, simulation), kRounding_m) << "step " << i;
+    expect_same_bites(other.threads()[0], simulation.threads()[0], kRounding_m);
+    const double tension_n = simulation.threads()[0].tension_n;
+    EXPECT_NEAR(other.threads()[0].tension_n, tension_n, 1e-9 * tension_n);
+  }
+  EXPECT_LT(testing::mean_gap_m(closure, simulation.positions_m()), cut_gap_m - 3e-4);
+  EXPECT_GT(simulation.report().active_unilateral_rows, 0);  // rims that meet
+}
+
+/// Bites that the scene knows nothing of: the needle has made them, and the hand pulls the thread
+/// taut through them.
+TEST(Checkpoint, WithoutCachesAThreadKeepsTheBitesOfItsNeedle) {
+  testing::Hands hands(testing::swaged_scene(scene::ThreadTail::kAnchored));
+  const double half_m = EIGEN_PI * 4e-3;
+  hands.grasp(testing::kDriver, hands.on_needle(0.05));
+  hands.along(testing::kDriver, 1.03 * half_m, 0.03);
+  hands.grasp(testing::kAssistant, hands.on_needle(0.97));
+  hands.let_go(testing::kDriver);
+  hands.along(testing::kAssistant, 1.05 * half_m, 0.03);
+  hands.move_by(testing::kAssistant, {0.0, 0.0, 0.040}, 0.05);
+  ASSERT_EQ(hands.thread().punctures.size(), 2U);
+  ASSERT_FALSE(hands.thread().taut);
+  Simulation other(hands.scene);
+  ASSERT_EQ(other.threads()[0].punctures.size(), 0U);
+  restore(other, saved(hands.sim, Caches::kLeftOut));
+  expect_same_bites(other.threads()[0], hands.thread(), 0.0);
+  const auto step_both = [&] {
+    hands.step();
+    other.step(hands.inputs, hands.step_s);
+    ASSERT_LT(farthest_m(other, hands.sim), kRounding_m);
+    expect_same_bites(other.threads()[0], hands.thread(), kRounding_m);
+  };
+  for (int i = 0; i < 40; ++i) {
+    hands.at(testing::kAssistant).position_m.z() += 2e-4;
+    step_both();
+  }
+  EXPECT_TRUE(hands.thread().taut);
+  const double tension_n = hands.thread().tension_n;
+  EXPECT_GT(tension_n, 0.01);
+  EXPECT_NEAR(other.threads()[0].tension_n, tension_n, 1e-9 * tension_n);
 }
 
 TEST(Checkpoint, OneThatEndsEarlyLeavesTheStart) {

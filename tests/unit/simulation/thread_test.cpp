@@ -563,37 +563,10 @@ TEST(Thread, PulledTautIsFeltInTheNextStepAsItsResponsePredicts) {
   }
 }
 
-/// An arc needle of 4 mm radius before the block, tip down at x = −4 mm, with a thread.
-scene::Scene swaged(scene::ThreadTail tail) {
-  scene::Scene scene = testing::block_scene(6);
-  scene.contact.enabled = false;
-  scene::Needle& needle = scene.needles[0];
-  needle.shape = scene::NeedleShape::kArc;
-  needle.radius_m = 4e-3;
-  needle.arc_deg = 180.0;
-  needle.pose.position_m = Vec3(0.0, 4e-4, 1e-3);
-  needle.pose.orientation = Eigen::AngleAxisd(0.5 * EIGEN_PI, Vec3::UnitX());
-  scene.tissues[0].puncture_force_n = 0.02;
-  scene.tissues[0].friction_n_s_per_m2 = 2.0;
-  scene::Thread thread;
-  thread.name = "thread";
-  thread.needle = "needle";
-  thread.tail = tail;
-  thread.length_m = 0.05;
-  scene.threads.push_back(thread);
-  return scene;
-}
-
-Vec3 on_needle(const Hands& hands, double share) {
-  const needle::Curve curve = needle::Curve::of(hands.scene.needles[0]);
-  const auto& state = hands.sim.needles()[0];
-  return curve.point({state.position_m, state.orientation}, share * curve.length_m());
-}
-
 TEST(Thread, FollowsItsNeedleThroughABiteAndOutAgain) {
-  Hands hands(swaged(scene::ThreadTail::kAnchored));
+  Hands hands(testing::swaged_scene(scene::ThreadTail::kAnchored));
   const double half_m = EIGEN_PI * 4e-3;
-  hands.grasp(kDriver, on_needle(hands, 0.05));
+  hands.grasp(kDriver, hands.on_needle(0.05));
   EXPECT_EQ(hands.thread().punctures.size(), 0U);
   EXPECT_EQ(hands.thread().head, ThreadEnd::kSwaged);
   hands.along(kDriver, 1.03 * half_m, 0.03);
@@ -601,7 +574,7 @@ TEST(Thread, FollowsItsNeedleThroughABiteAndOutAgain) {
   EXPECT_EQ(hands.count(EventKind::kExit), 1);
   EXPECT_EQ(hands.thread().punctures.size(), 0U);  // the tail is before the tissue still
   // The other hand takes the tip and draws the needle through.
-  hands.grasp(kAssistant, on_needle(hands, 0.97));
+  hands.grasp(kAssistant, hands.on_needle(0.97));
   hands.let_go(kDriver);
   hands.along(kAssistant, 0.5 * half_m, 0.03);
   ASSERT_EQ(hands.thread().punctures.size(), 1U);  // in, not out yet
@@ -630,13 +603,13 @@ TEST(Thread, FollowsItsNeedleThroughABiteAndOutAgain) {
 }
 
 TEST(Thread, ThatIsFreeFollowsItsNeedleOutOfTheTissue) {
-  scene::Scene scene = swaged(scene::ThreadTail::kFree);
+  scene::Scene scene = testing::swaged_scene(scene::ThreadTail::kFree);
   scene.threads[0].length_m = 0.02;
   Hands hands(scene);
   const double half_m = EIGEN_PI * 4e-3;
-  hands.grasp(kDriver, on_needle(hands, 0.05));
+  hands.grasp(kDriver, hands.on_needle(0.05));
   hands.along(kDriver, 1.03 * half_m, 0.03);
-  hands.grasp(kAssistant, on_needle(hands, 0.97));
+  hands.grasp(kAssistant, hands.on_needle(0.97));
   hands.let_go(kDriver);
   hands.along(kAssistant, 1.1 * half_m, 0.03);
   ASSERT_EQ(hands.thread().punctures.size(), 2U);
@@ -649,18 +622,18 @@ TEST(Thread, ThatIsFreeFollowsItsNeedleOutOfTheTissue) {
 }
 
 TEST(Thread, BetweenNeedleAndJawPullsBothHandsAlike) {
-  Hands hands(swaged(scene::ThreadTail::kFree));
+  Hands hands(testing::swaged_scene(scene::ThreadTail::kFree));
   // The needle stands clear of the tissue, its thread hangs from its tail.
-  hands.grasp(kDriver, on_needle(hands, 0.5));
+  hands.grasp(kDriver, hands.on_needle(0.5));
   hands.move_by(kDriver, Vec3(0.0, 0.0, 0.02), 0.1);
-  const Vec3 tail = on_needle(hands, 0.0);
+  const Vec3 tail = hands.on_needle(0.0);
   hands.grasp(kAssistant, tail - Vec3(0.0, 0.0, 0.01));
   ASSERT_EQ(hands.last(EventKind::kGrasp).object, "thread");
   hands.move_by(kAssistant, Vec3(2e-3, 1e-3, -1e-3), 0.05);
   hands.step(400);  // until the weak spring to the needle's last pose has let go
   const double tension_n = hands.thread().tension_n;
   EXPECT_GT(tension_n, 0.05);
-  const Vec3 way = (hands.at(kAssistant).position_m - on_needle(hands, 0.0)).normalized();
+  const Vec3 way = (hands.at(kAssistant).position_m - hands.on_needle(0.0)).normalized();
   EXPECT_LT((hands.force_n(kAssistant) + tension_n * way).norm(), 1e-3 * tension_n);
   EXPECT_LT((hands.force_n(kDriver) + hands.force_n(kAssistant)).norm(), 1e-6 * tension_n);
   // About one point the wrenches balance too: the forces lie on one line.
@@ -674,9 +647,9 @@ TEST(Thread, BetweenNeedleAndJawPullsBothHandsAlike) {
 /// A jaw that holds the tail when the needle makes the first bite keeps it: no knot forms behind
 /// it.
 TEST(Thread, HeldByItsTailIsNotKnottedBehindTheJaw) {
-  Hands hands(swaged(scene::ThreadTail::kAnchored));
-  hands.grasp(kDriver, on_needle(hands, 0.05));
-  hands.grasp(kAssistant, on_needle(hands, 0.0) - Vec3(0.0, 0.0, 0.03));
+  Hands hands(testing::swaged_scene(scene::ThreadTail::kAnchored));
+  hands.grasp(kDriver, hands.on_needle(0.05));
+  hands.grasp(kAssistant, hands.on_needle(0.0) - Vec3(0.0, 0.0, 0.03));
   ASSERT_EQ(hands.last(EventKind::kGrasp).object, "thread");
   hands.move(kAssistant, Vec3(-8e-3, 0.0, 4e-3), 0.1);
   for (int i = 0; i < 20; ++i) {
