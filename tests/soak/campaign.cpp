@@ -20,6 +20,7 @@
 #include <mutex>
 #include <nlohmann/json.hpp>
 #include <random>
+#include <span>
 #include <thread>
 #include <vector>
 
@@ -49,8 +50,17 @@ const std::vector<std::string> kTools{"driver", "assistant", "probe"};
 // What a server may grow by, fitted, over the flat part of a campaign.
 constexpr double kMaxGrowth_kib = 2048.0;
 constexpr double kMaxGrowth_count = 2.0;
-// Of the p99 of a tick: a busy machine makes it uneven, a server that ages makes it rise.
+// Of the p99 of a tick, twice. A server that ages does so in every second: the median of the last
+// third of the seconds may be twice that of the first, and what the machine itself is late by
+// (wake-ups' p99) more. That of thirds of 40 s was 1.5 times as large at times, without any ageing.
+// Single seconds are up to ten times the median, where a guest starts or the machine is busy
+// elsewhere: a line through all of them follows these and can only be held to much less.
+constexpr double kMaxRatio = 2.0;
 constexpr double kMaxGrowth_us = 1000.0;
+// Of a server that was killed, until it serves where it was; of their median, since single ones are
+// held up where the machine is busy elsewhere (4.9 s at nine runnable processes for two
+// processors).
+constexpr double kMaxResume_s = 2.0;
 // A shorter one is all warm-up: nothing is asked of its growth.
 constexpr double kFlatMin_s = 120.0;
 
@@ -188,7 +198,7 @@ int be_guest(const Guest& guest) {
 
 /// One look at the server.
 struct Sample {
-  double time_s = 0.0, memory_kib = 0.0, tick_p99_us = 0.0;
+  double time_s = 0.0, memory_kib = 0.0, tick_p99_us = 0.0, wakeup_p99_us = 0.0;
   int descriptors = 0, threads = 0;
 };
 
@@ -205,6 +215,16 @@ double growth(const std::vector<Sample>& samples, const std::function<double(con
     ty += (sample.time_s - t) * (of(sample) - y);
   }
   return tt > 0.0 ? ty / tt * (samples.back().time_s - samples.front().time_s) : 0.0;
+}
+
+/// The median of one value of `samples`; of none zero.
+double median(std::span<const Sample> samples, double Sample::*of) {
+  std::vector<double> values;
+  for (const Sample& sample : samples) values.push_back(sample.*of);
+  if (values.empty()) return 0.0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
 }
 
 /// Watches a server's session, and keeps what is wrong with it.
@@ -404,9 +424,14 @@ class Campaign {
       const double now_s = since_s(begun);
       if (now_s >= sampled_s + 1.0) {
         sampled_s = now_s;
-        Sample sample{now_s, testing::resident_kib(server_->pid()), 0.0,
-                      testing::open_files(server_->pid()), testing::threads(server_->pid())};
-        for (const suture::ToolStatus& tool : observer.status().tools)
+        const suture::Status status = observer.status();
+        Sample sample{now_s,
+                      testing::resident_kib(server_->pid()),
+                      0.0,
+                      status.wakeup.p99_us,
+                      testing::open_files(server_->pid()),
+                      testing::threads(server_->pid())};
+        for (const suture::ToolStatus& tool : status.tools)
           sample.tick_p99_us = std::max(sample.tick_p99_us, tool.tick.p99_us);
         samples_.push_back(sample);
       }
@@ -459,11 +484,17 @@ class Campaign {
     descriptors_ = growth(flat_, [](const Sample& s) { return s.descriptors; });
     threads_ = growth(flat_, [](const Sample& s) { return s.threads; });
     p99_us_ = growth(flat_, [](const Sample& s) { return s.tick_p99_us; });
+    const std::span<const Sample> all(flat_);
+    const std::size_t third = flat_.size() / 3;
+    first_p99_us_ = median(all.first(third), &Sample::tick_p99_us);
+    last_p99_us_ = median(all.last(third), &Sample::tick_p99_us);
+    late_us_ = median(all, &Sample::wakeup_p99_us);
     if (!flat_.empty() && flat_.back().time_s - flat_.front().time_s >= kFlatMin_s) {
       expect(memory_kib_ <= kMaxGrowth_kib, "memory is flat");
       expect(descriptors_ <= kMaxGrowth_count, "descriptors are flat");
       expect(threads_ <= kMaxGrowth_count, "threads are flat");
-      expect(p99_us_ <= kMaxGrowth_us, "the p99 of a tick is flat");
+      expect(last_p99_us_ <= kMaxRatio * first_p99_us_ + late_us_ && p99_us_ <= kMaxGrowth_us,
+             "the p99 of a tick is flat");
     }
     look_at_forces(worst_);
   }
@@ -505,16 +536,22 @@ class Campaign {
     } while (since_s(begun) < 0.25 * seconds_);
     expect(end() == 0, "the server that was killed and resumed ends as it was asked to");
     expect(!resumes_s_.empty(), "the server was killed");
+    std::vector<double> sorted = resumes_s_;
+    std::sort(sorted.begin(), sorted.end());
+    expect(!sorted.empty() && sorted[(sorted.size() - 1) / 2] <= kMaxResume_s,
+           "a server that was killed serves again within two seconds");
   }
 
   [[nodiscard]] Json json() const {
     Json samples = Json::array();
     for (const Sample& s : samples_)
-      samples.push_back({s.time_s, s.memory_kib, s.descriptors, s.threads, s.tick_p99_us});
+      samples.push_back(
+          {s.time_s, s.memory_kib, s.descriptors, s.threads, s.tick_p99_us, s.wakeup_p99_us});
     Json checks = Json::array();
     for (const auto& [what, holds] : checks_) checks.push_back({{"what", what}, {"holds", holds}});
     return {{"seconds", seconds_},
-            {"columns", {"time_s", "memory_kib", "descriptors", "threads", "tick_p99_us"}},
+            {"columns",
+             {"time_s", "memory_kib", "descriptors", "threads", "tick_p99_us", "wakeup_p99_us"}},
             {"samples", samples},
             {"growth",
              {{"memory_kib", memory_kib_},
@@ -569,6 +606,9 @@ class Campaign {
     row("p99 of a tick", p99_us_, kMaxGrowth_us, "us",
         [](const Sample& s) { return s.tick_p99_us; });
     print(
+        "\nMedian p99 of a tick: %.0f us in the first third, %.0f in the last; of wake-ups %.0f.\n",
+        first_p99_us_, last_p99_us_, late_us_);
+    print(
         "\n| Tool | Forces | Largest | Step over slew limit | Faults met "
         "|\n|---|---|---|---|---|\n");
     for (std::size_t i = 0; i < worst_.size(); ++i)
@@ -601,6 +641,7 @@ class Campaign {
   std::map<std::string, std::uint64_t> counts_, events_;
   std::vector<Sample> samples_, flat_;
   double memory_kib_ = 0.0, descriptors_ = 0.0, threads_ = 0.0, p99_us_ = 0.0;
+  double first_p99_us_ = 0.0, last_p99_us_ = 0.0, late_us_ = 0.0;
   std::vector<ForceWatcher::Worst> worst_;
   std::vector<double> resumes_s_;
   std::uint64_t frames_ = 0;

@@ -3,7 +3,8 @@
 // process on another processor: what must hold however long it runs.
 //
 // The scene is the anastomosis with a slew limit so low that punctures meet it. Asserted is what
-// does not depend on how busy the machine is: memory, limits, faults. The rest is printed.
+// does not depend on how busy the machine is: memory, limits, faults, and that poses are answered,
+// but for a few. The rest is printed.
 #include <signal.h>
 #include <sys/prctl.h>
 #include <unistd.h>
@@ -37,6 +38,8 @@ namespace {
 
 // Magnitudes that this slew could not end within a ramp are lowered: below `kMaxForce_n`.
 constexpr double kLowSlew_n_per_s = 5.0;
+/// Of the poses; the rest is for what a busy machine holds up so long that the next overtakes it.
+constexpr double kMinAnswered = 0.95;
 /// What a server may grow by after its warm-up.
 constexpr double kMaxDrift_kib = 1024.0;
 // Of the machine (a device or a simulation held up), or of limits that do their work.
@@ -158,6 +161,8 @@ int run(double seconds) {
   const int code = server.wait();
 
   const suture::Status& status = told.last;
+  const double answered = static_cast<double>(counts.forces_received) /
+                          static_cast<double>(std::max<std::uint64_t>(counts.hands_written, 1));
   const auto number = [](std::uint64_t value) { return static_cast<unsigned long long>(value); };
   std::printf("%.0f s, %llu poses, %llu forces; %llu frames to a viewer, a busy process beside\n",
               seconds, number(counts.hands_written), number(worst.forces), number(told.frames));
@@ -168,9 +173,7 @@ int run(double seconds) {
   std::printf("  round trip     p50 %.0f, p99 %.0f, max %.0f us; %.2f %% answered\n",
               1e-3 * static_cast<double>(counts.round_trip_p50_ns),
               1e-3 * static_cast<double>(counts.round_trip_p99_ns),
-              1e-3 * static_cast<double>(counts.round_trip_max_ns),
-              100.0 * static_cast<double>(counts.forces_received) /
-                  static_cast<double>(std::max<std::uint64_t>(counts.hands_written, 1)));
+              1e-3 * static_cast<double>(counts.round_trip_max_ns), 100.0 * answered);
   std::printf("  force          at most %.4f N, worst step %.5f N, %.2f of what the slew allows\n",
               worst.force_n, worst.step_n, worst.over_slew);
   std::printf("  oldest model   %.1f ms while rendering\n", 1e-3 * worst.model_age_us);
@@ -186,6 +189,7 @@ int run(double seconds) {
   };
   expect(code == 0, "the server ends as it was asked to");
   expect(worst.answers > 0 && worst.felt > 0, "the tissue is felt");
+  expect(answered >= kMinAnswered, "poses are answered");
   expect(worst.force_n <= kMaxForce_n, "forces are within the tool's limit");
   expect(worst.over_slew <= 1.0, "force steps are within the tool's slew limit");
   expect((worst.faults & suture_v1_FAULT_SLEW_LIMIT) != 0, "the slew limit is met at all");
