@@ -347,67 +347,121 @@ v1::HapticModel stiffer_spring(const Guid& device, std::uint64_t sequence) {
   return wire;
 }
 
-TEST(Device, ChangesItsRendererInBothDirectionsWithoutAStep) {
-  SpringServer server(server_options());
-  const Participant participant(own_session(), Channel::kControl);
-  Writer<v1::HapticModel> models(participant);
-  Reader<v1::ToolRendered> rendered(participant);
-  Device device(device_options());
-  Hand hand;
-  hand.position_m = {0.01, 0.0, 0.0};
-  hand.in_world = true;
-  double last_n = 0.0, force_n = 0.0, steepest_n_per_s = 0.0;
-  std::int64_t last_ns = 0;
-  std::uint64_t sequence = 0;
-  // A tick; every fourth brings a model.
-  const auto tick = [&] {
+double norm_of(const Force& force) {
+  return std::hypot(force.force_n[0], force.force_n[1], force.force_n[2]);
+}
+
+/// A hand at 10 mm, where the server's spring gives 1 N and the models', rendered by the device,
+/// 1.5 N, and the steepest change that it feels.
+class HandOver : public ::testing::Test {
+ protected:
+  HandOver() : models_(participant_), rendered_(participant_) {
+    hand_.position_m = {0.01, 0.0, 0.0};
+    hand_.in_world = true;
+  }
+  /// A tick; every fourth brings a model.
+  void tick() {
     std::this_thread::sleep_for(milliseconds(1));
-    const std::uint64_t written = device.write(hand);
-    if (written % 4 == 0) models.write(stiffer_spring(server.last_sender(), ++sequence));
-    const Force force = device.read();
+    const std::uint64_t written = device_.write(hand_);
+    if (written % 4 == 0) models_.write(stiffer_spring(server_.last_sender(), ++sequence_));
+    read_from_ns_ = monotonic_ns();
+    const Force force = device_.read();
     const std::int64_t now_ns = monotonic_ns();
-    force_n = -force.force_n[0];
+    force_n_ = -force.force_n[0];
     if (force.sequence == 0) return;
     // Until the end of this call since the beginning of the last: at least what the SDK saw.
-    if (last_ns != 0)
-      steepest_n_per_s = std::max(steepest_n_per_s, std::abs(force_n - last_n) * 1e9 /
-                                                        static_cast<double>(now_ns - last_ns));
-    last_n = force_n;
-    last_ns = now_ns;
-  };
-  const auto play_until = [&](double newtons, Render render) {
+    if (last_ns_ != 0)
+      steepest_n_per_s_ = std::max(steepest_n_per_s_, std::abs(force_n_ - last_n_) * 1e9 /
+                                                          static_cast<double>(now_ns - last_ns_));
+    last_n_ = force_n_;
+    last_ns_ = now_ns;
+  }
+  bool play_until(double newtons, Render render) {
     return eventually([&] {
       tick();
-      return std::abs(force_n - newtons) < 1e-9 && device.renders() == render;
+      return std::abs(force_n_ - newtons) < 1e-9 && device_.renders() == render;
     });
-  };
+  }
+
+  SpringServer server_{server_options()};
+  Participant participant_{own_session(), Channel::kControl};
+  Writer<v1::HapticModel> models_;
+  Reader<v1::ToolRendered> rendered_;
+  Device device_{device_options()};
+  Hand hand_;
+  double last_n_ = 0.0, force_n_ = 0.0, steepest_n_per_s_ = 0.0;
+  std::int64_t last_ns_ = 0, read_from_ns_ = 0;
+  std::uint64_t sequence_ = 0;
+};
+
+TEST_F(HandOver, InBothDirectionsIsWithoutAStep) {
   ASSERT_TRUE(play_until(1.0, Render::kServer));
   for (int round = 0; round < 2; ++round) {
-    steepest_n_per_s = 0.0;
-    device.set_render(Render::kDevice);
+    steepest_n_per_s_ = 0.0;
+    device_.set_render(Render::kDevice);
     ASSERT_TRUE(play_until(1.5, Render::kDevice));
     // Half a newton within 60 ms by a smoothstep: 1.5 times the mean.
-    EXPECT_LE(steepest_n_per_s, 1.5 * 0.5 / 0.060 * 1.05);
-    EXPECT_GT(steepest_n_per_s, 0.0);
-    EXPECT_EQ(server.last_pose().flags & suture_v1_POSE_RENDER_DEVICE,
+    EXPECT_LE(steepest_n_per_s_, 1.5 * 0.5 / 0.060 * 1.05);
+    EXPECT_GT(steepest_n_per_s_, 0.0);
+    EXPECT_EQ(server_.last_pose().flags & suture_v1_POSE_RENDER_DEVICE,
               std::uint32_t{suture_v1_POSE_RENDER_DEVICE});
     bool told = false;
     EXPECT_TRUE(eventually([&] {
       tick();
-      rendered.take_each([&](const v1::ToolRendered& wire, const SampleInfo& info) {
+      rendered_.take_each([&](const v1::ToolRendered& wire, const SampleInfo& info) {
         told |= info.valid && wire.tool_id == tool_id("driver") && wire.model_sequence > 0 &&
                 std::abs(wire.force_n[0] + 1.5) < 1e-9;
       });
       return told;
     }));
-    steepest_n_per_s = 0.0;
-    device.set_render(Render::kServer);
+    steepest_n_per_s_ = 0.0;
+    device_.set_render(Render::kServer);
     ASSERT_TRUE(play_until(1.0, Render::kServer));
-    EXPECT_LE(steepest_n_per_s, 1.5 * 0.5 / 0.060 * 1.05);
+    EXPECT_LE(steepest_n_per_s_, 1.5 * 0.5 / 0.060 * 1.05);
     tick();
-    EXPECT_TRUE(
-        eventually([&] { return (server.last_pose().flags & suture_v1_POSE_RENDER_DEVICE) == 0; }));
+    EXPECT_TRUE(eventually(
+        [&] { return (server_.last_pose().flags & suture_v1_POSE_RENDER_DEVICE) == 0; }));
   }
+}
+
+/// A device that asked for no force for half a second has let go: what it felt before comes back
+/// in no hand-over, but the server's force from zero.
+TEST_F(HandOver, AfterARestBeginsAtZero) {
+  device_.set_render(Render::kDevice);
+  ASSERT_TRUE(play_until(1.5, Render::kDevice));
+  device_.set_render(Render::kServer);  // which begins with the next force
+  ASSERT_TRUE(eventually([&] { return monotonic_ns() - last_ns_ > 510'000'000; }));
+  EXPECT_EQ(norm_of(device_.read()), 0.0);
+  EXPECT_EQ(device_.renders(), Render::kServer);
+  last_n_ = 0.0;
+  last_ns_ = monotonic_ns();
+  steepest_n_per_s_ = 0.0;
+  ASSERT_TRUE(play_until(1.0, Render::kServer));
+  // The rise of a server that is heard again: 1 N within 50 ms.
+  EXPECT_LE(steepest_n_per_s_, 1.5 * 1.0 / 0.050 * 1.05);
+}
+
+TEST_F(HandOver, UnderAStopIsOverWithTheForce) {
+  // On its way from one to the other; again where this process was held up for all of it.
+  ASSERT_TRUE(eventually([&] {
+    device_.set_render(Render::kDevice);
+    EXPECT_TRUE(play_until(1.5, Render::kDevice));
+    device_.set_render(Render::kServer);
+    while (force_n_ > 1.49) tick();
+    return force_n_ > 1.01;
+  }));
+  steepest_n_per_s_ = 0.0;
+  hand_.stop = true;
+  tick();
+  const std::int64_t stopped_ns = last_ns_;
+  EXPECT_TRUE(eventually([&] {
+    tick();
+    return read_from_ns_ - stopped_ns > 30'000'000;
+  }));
+  EXPECT_EQ(force_n_, 0.0);
+  // By the smoothstep of 30 ms, and what the hand-over adds.
+  EXPECT_LE(steepest_n_per_s_, (1.5 * 1.5 / 0.030 + 1.5 * 0.5 / 0.060) * 1.05);
+  EXPECT_GT(steepest_n_per_s_, 0.0);
 }
 
 TEST(Device, StopsByItselfAndAsksUntilTheServerSaysSo) {
