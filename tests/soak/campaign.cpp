@@ -51,10 +51,10 @@ const std::vector<std::string> kTools{"driver", "assistant", "probe"};
 constexpr double kMaxGrowth_kib = 2048.0;
 constexpr double kMaxGrowth_count = 2.0;
 // Of the p99 of a tick, twice. A server that ages does so in every second: the median of the last
-// third of the seconds may be twice that of the first, and what the machine itself is late by
-// (wake-ups' p99) more. That of thirds of 40 s was 1.5 times as large at times, without any ageing.
+// third of the seconds may be twice that of the first, and more by what the machine itself is late
+// (the p99 of wake-ups): medians of 40 s within one run differ by that much without any ageing.
 // Single seconds are up to ten times the median, where a guest starts or the machine is busy
-// elsewhere: a line through all of them follows these and can only be held to much less.
+// elsewhere. A line through all of them follows these, and can be held to much less only.
 constexpr double kMaxRatio = 2.0;
 constexpr double kMaxGrowth_us = 1000.0;
 // Of a server that was killed, until it serves where it was; of their median, since single ones are
