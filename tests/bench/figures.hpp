@@ -64,6 +64,7 @@ void measure_tick(Figures& figures);
 void measure_fidelity(Figures& figures);
 void measure_wakeup(Figures& figures);
 void measure_roundtrip(Figures& figures);
+void measure_with_checkpoints(Figures& figures);
 void measure_security(Figures& figures);
 void measure_mesh(Figures& figures);
 void measure_viewers(Figures& figures);

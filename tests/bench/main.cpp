@@ -34,7 +34,7 @@ int main(int argc, char** argv) {
   app.add_option("--commit", commit, "What was built, for the record");
   app.add_option("--only", only,
                  "Measure these alone: step, closure, checkpoint, tissue, tick, fidelity, wakeup, "
-                 "roundtrip, security, mesh, viewers");
+                 "roundtrip, checkpoints, security, mesh, viewers");
   std::uint32_t domain = 0;
   std::string session;
   auto* echo = app.add_option("--echo", domain, "Be the bare echo in this DDS domain instead");
@@ -64,6 +64,7 @@ int main(int argc, char** argv) {
       {"fidelity", sutured::bench::measure_fidelity},
       {"wakeup", sutured::bench::measure_wakeup},
       {"roundtrip", sutured::bench::measure_roundtrip},
+      {"checkpoints", sutured::bench::measure_with_checkpoints},
       {"security", sutured::bench::measure_security},
       {"mesh", sutured::bench::measure_mesh},
       {"viewers", sutured::bench::measure_viewers},

@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <filesystem>
 #include <future>
 #include <stdexcept>
 
@@ -18,6 +19,7 @@
 #include "protocol/endpoint.hpp"
 #include "protocol/surgeon.hpp"
 #include "support/process.hpp"
+#include "support/temporary_folder.hpp"
 
 namespace sutured::bench {
 namespace {
@@ -128,6 +130,44 @@ void measure_roundtrip(Figures& figures) {
   figures.add("bare_echo_us.p99", echo_p99, "us");
   figures.add("roundtrip_over_bare_echo.p50", p50 / echo_p50, "x", 1.5);
   figures.add("roundtrip_over_bare_echo.p99", p99 / echo_p99, "x");
+}
+
+// Two servers of the same scene, one of which writes a checkpoint a second: each millisecond asks
+// both, so that what else a machine does falls on both alike.
+void measure_with_checkpoints(Figures& figures) {
+  suture::ParticipantOptions with, without;
+  with.domain = 4U * (static_cast<std::uint32_t>(getpid()) % 50U);
+  without.domain = with.domain + 2;
+  with.session = without.session = "bench-checkpoints-" + std::to_string(getpid());
+  const auto command = [](const suture::ParticipantOptions& session) {
+    return std::vector<std::string>{SUTURED_PROGRAM,
+                                    "serve",
+                                    kScene + "scene.toml",
+                                    "--domain",
+                                    std::to_string(session.domain),
+                                    "--session",
+                                    session.session};
+  };
+  const testing::TemporaryFolder folder;
+  std::vector<std::string> keeping = command(with);
+  keeping.insert(keeping.end(), {"--checkpoints", folder.path("kept")});
+  const testing::Process keeper(keeping), other(command(without));
+  const suture::Surgeon surgeon = suture::read_surgeon(kScene + "one_bite.csv");
+  const suture::SurgeonTrack& track = surgeon.tracks.at(0);
+  Pinger kept(with, track.tool), bare(without, track.tool);
+  const Counted first =
+      std::async(std::launch::async, [&] { return play(track, kept, bare); }).get();
+  if (std::filesystem::is_empty(folder.path("kept")))
+    throw std::runtime_error("no checkpoint was written: nothing to compare");
+  std::vector<double> with_us = kept.round_trips_us(first.ours, kept.sent());
+  std::vector<double> without_us = bare.round_trips_us(first.theirs, bare.sent());
+  if (with_us.empty() || without_us.empty()) throw std::runtime_error("no pose was answered");
+  const double with_p99 = quantile(with_us, 0.99), without_p99 = quantile(without_us, 0.99);
+  figures.add("roundtrip_with_checkpoints_us.p99", with_p99, "us");
+  figures.add("roundtrip_without_checkpoints_us.p99", without_p99, "us");
+  figures.add("roundtrip_with_checkpoints_over_without.p50",
+              quantile(with_us, 0.5) / quantile(without_us, 0.5), "x");
+  figures.add("roundtrip_with_checkpoints_over_without.p99", with_p99 / without_p99, "x");
 }
 
 }  // namespace sutured::bench
