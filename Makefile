@@ -9,7 +9,7 @@ BUILD_PACKAGES := build-essential cmake ninja-build ccache git pkg-config \
   libtomlplusplus-dev libgmsh-dev libcli11-dev nlohmann-json3-dev libzstd-dev libsystemd-dev
 PICTURE_PACKAGES := python3-matplotlib python3-numpy
 TEST_PACKAGES := libgtest-dev libgmock-dev libbenchmark-dev libpng-dev calculix-ccx iproute2 openssl systemd \
-  clang libclang-rt-14-dev $(PICTURE_PACKAGES)
+  help2man zsh clang libclang-rt-14-dev $(PICTURE_PACKAGES)
 BROWSER_PACKAGES := chromium
 BENCH_PACKAGES := rt-tests
 COVERAGE_PACKAGES := gcovr

@@ -4,7 +4,8 @@
 #
 #   docs/man/make.sh DIR path/to/sutured path/to/suture
 #
-# help2man makes the page; what stands below the options in the help (examples, notes, exit codes) becomes its sections.
+# help2man makes the page; what stands below the options in the help (examples, notes, exit codes) becomes its sections. A
+# command that has commands of its own tells of each of them, with its options, on its page.
 set -euo pipefail
 out=$1
 shift
@@ -18,6 +19,25 @@ exit_codes() {
 }
 # Text of a man page, line by line as it is.
 as_it_is() { sed -e 's/\\/\\e/g' -e 's/-/\\-/g' -e "s/^\([.']\)/\\\\\&\1/" -e '1i .nf' -e '$a .fi'; }
+
+# The commands that a help text lists.
+commands_in() { awk '/^Subcommands:/ { on = 1; next } /^$/ { on = 0 } on && /^  [a-z]/ { print $1 }' "$1"; }
+
+# nested COMMAND…: what the commands of COMMAND take, each below a heading of its own, as help2man knows one.
+nested() {
+  local command help
+  help=$(mktemp -p "$work")
+  "$@" --help >"$help"
+  for command in $(commands_in "$help"); do
+    "$@" "$command" --help | awk '
+      NR == 1 { title = $0; next }
+      /^Usage:/ { sub(/^Usage: */, ""); print "\n" $0 ":\n  " title "\n"; next }
+      /^(Examples?|Subcommands):/ || /^ *Exit codes?:/ { exit }
+      /^[^ ]/ || /^  -h,--help / { next }
+      NF'
+    nested "$@" "$command"
+  done
+}
 
 # page NAME TITLE COMMAND…: NAME is the page's, COMMAND what it is about.
 page() {
@@ -38,6 +58,7 @@ page() {
   } >"$work/include"
   # help2man asks a program; this one says what of the help is its business, and its name for the title.
   awk '/^Examples?:/ || /^ *Exit codes?:/ { exit } { print }' "$work/help" >"$work/head"
+  [ $# = 1 ] || nested "$@" >>"$work/head"
   printf '#!/bin/sh\ncat %q\n' "$work/head" >"$work/$name"
   chmod +x "$work/$name"
   help2man --no-info --version-string="$version" --source="sutured $version" --name="$title" \
@@ -48,7 +69,7 @@ for program in "$@"; do
   name=$(basename "$program")
   version=$("$program" --version)
   "$program" --help >"$work/program"
-  commands=$(awk '/^Subcommands:/ { on = 1; next } /^$/ { on = 0 } on && /^  [a-z]/ { print $1 }' "$work/program")
+  commands=$(commands_in "$work/program")
   pages="$name $(printf "$name-%s " $commands)"
   pages=${pages% }
   page "$name" "$(sed -n '1s/^[a-z]*: //p' "$work/program")" "$program"

@@ -85,10 +85,15 @@ complete_words() {
 [ "$(partial=ser complete_words sutured)" = serve ] || fail "completion of a command"
 [ "$(partial=--dom complete_words suture sessions)" = --domain ] || fail "completion of an option"
 [ "$(partial=rew complete_words suture command)" = rewind ] || fail "completion of a value"
+[ "$(partial=re complete_words suture keys)" = "renew revoke" ] || fail "completion of a command's command"
+[ "$(partial=--ro complete_words suture keys add)" = --role ] || fail "completion of an option of a command's command"
 for shell_file in _sutured _suture; do inside zsh -n "/usr/share/zsh/vendor-completions/$shell_file" || fail "zsh"; done
 for page in $(inside sh -c "sutured --help; suture --help" | awk '/^Usage: / { p = $2; print p } /^Subcommands:/ { on = 1 } /^$/ { on = 0 } on && /^  [a-z]/ { print p "-" $1 }'); do
   [ -s "$root/usr/share/man/man1/$page.1.gz" ] || fail "no manual of $page"
   zcat "$root/usr/share/man/man1/$page.1.gz" | grep -q 'EXIT STATUS' || fail "the manual of $page tells no exit codes"
+done
+for option in $(for of in init add renew revoke list; do inside suture keys $of --help; done | awk '/^  --/ { print $1 }'); do
+  zcat "$root/usr/share/man/man1/suture-keys.1.gz" | grep -qF "\\fB${option//-/\\-}\\fR" || fail "the manual of suture-keys lacks $option"
 done
 
 echo "== the service, under a systemd of its own"
