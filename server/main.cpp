@@ -12,9 +12,11 @@
 #include "commands/serve_command.hpp"
 #include "commands/service_log.hpp"
 #include "fem/blas_kernels.hpp"
+#include "protocol/standard_output.hpp"
 
-int main(int argc, char** argv) {
-  sutured::fem::use_best_blas_kernels(argv);
+namespace {
+
+int run(int argc, char** argv) {
   CLI::App app("sutured: a haptic server for suturing simulation", "sutured");
   app.set_version_flag("--version", SUTURED_VERSION);
   app.require_subcommand(1);
@@ -46,4 +48,15 @@ int main(int argc, char** argv) {
     sutured::commands::tell_failure(std::string("sutured: ") + error.what());
     return 1;
   }
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  sutured::fem::use_best_blas_kernels(argv);
+  const int code = run(argc, argv);
+  const std::string fault = suture::standard_output_fault();
+  if (fault.empty()) return code;
+  sutured::commands::tell_failure("sutured: " + fault);
+  return code == 0 ? 1 : code;
 }

@@ -6,9 +6,11 @@
 #include <cstdio>
 #include <exception>
 #include <filesystem>
+#include <string>
 
 #include "commands.hpp"
 #include "options.hpp"
+#include "protocol/standard_output.hpp"
 #include "suture/error.hpp"
 
 namespace suture::cli {
@@ -81,4 +83,10 @@ int run(int argc, char** argv) {
 }  // namespace
 }  // namespace suture::cli
 
-int main(int argc, char** argv) { return suture::cli::run(argc, argv); }
+int main(int argc, char** argv) {
+  const int code = suture::cli::run(argc, argv);
+  const std::string fault = suture::standard_output_fault();
+  if (fault.empty()) return code;
+  std::fprintf(stderr, "suture: %s\n", fault.c_str());
+  return code == suture::cli::kDone ? suture::cli::kFailed : code;
+}

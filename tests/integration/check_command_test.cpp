@@ -98,6 +98,19 @@ TEST(CheckCommand, RefusesAScriptNamedAsAMesh) {
   EXPECT_FALSE(std::filesystem::exists(canary));
 }
 
+TEST(CheckCommand, AReportThatCannotBeWrittenIsAnError) {
+  for (const std::vector<std::string>& words :
+       {std::vector<std::string>{"check", kMesh}, {"check", kMesh, "--json"}, {"--help"}}) {
+    std::vector<std::string> command{"sh", "-c", "exec \"$0\" \"$@\" >/dev/full", SUTURED_PROGRAM};
+    command.insert(command.end(), words.begin(), words.end());
+    const ProgramResult result = testing::run_program(command);
+    EXPECT_EQ(result.exit_code, 1) << words[0];
+    EXPECT_EQ(result.err,
+              "sutured: the output could not be written: No space left on device; see to where "
+              "standard output goes\n");
+  }
+}
+
 TEST(CheckCommand, TellsWrongUsageByTwoAndHelpByZero) {
   EXPECT_EQ(sutured({}).exit_code, 2);
   EXPECT_EQ(sutured({"check"}).exit_code, 2);

@@ -425,6 +425,21 @@ TEST_F(Cli, DeviceSaysWhenTheServerIsGoneAtTheEnd) {
   }
 }
 
+TEST_F(Cli, AResultThatCannotBeWrittenIsAnError) {
+  Process made({SUTURE_CLI, "keys", "init", path("site")});
+  ASSERT_EQ(made.wait(), 0) << made.output();
+  Process list(
+      {"sh", "-c", "exec \"$0\" \"$@\" >/dev/full", SUTURE_CLI, "keys", "list", path("site")});
+  EXPECT_EQ(list.wait(), 1);
+  EXPECT_EQ(list.output(),
+            "suture: the output could not be written: No space left on device; see to where "
+            "standard output goes\n");
+  // What ended it otherwise stays what it ends with.
+  Process missing(
+      {"sh", "-c", "exec \"$0\" \"$@\" >/dev/full", SUTURE_CLI, "keys", "list", path("none")});
+  EXPECT_EQ(missing.wait(), 2);
+}
+
 TEST_F(Cli, TopPrintsATableOnce) {
   SpringServer server(server_options());
   Process top(command({"top", "--once"}));
