@@ -604,7 +604,8 @@ std::string summary_json(const Outcome& outcome) {
                                   {"punctures", punctures},
                                   {"events", outcome.events.size()},
                                   {"interrupted", interrupted.load()}};
-  return summary.dump(2) + "\n";
+  // The scene's names are what a server sent: what is not UTF-8 is replaced, not thrown at.
+  return summary.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
 }
 
 /// The tracks of the tools asked for, or of all tools of the file.

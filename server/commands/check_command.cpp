@@ -28,6 +28,11 @@ struct Options {
   bool json = false;
 };
 
+// Names of groups and files are what strangers wrote: what is not UTF-8 is replaced, not thrown at.
+void print_json(const json& report) {
+  std::cout << report.dump(2, ' ', false, json::error_handler_t::replace) << '\n';
+}
+
 void print_notes(const std::vector<std::string>& notes) {
   for (const std::string& note : notes) std::cout << "note: " << note << '\n';
 }
@@ -48,7 +53,7 @@ void check_mesh(const Options& options) {
                    {"format", reading.format},
                    {"scale", options.scale},
                    {"notes", reading.notes}});
-    std::cout << result.dump(2) << '\n';
+    print_json(result);
     return;
   }
   std::cout << options.path << "  " << reading.format << ", scale " << options.scale << '\n';
@@ -121,13 +126,11 @@ void check_scene(const Options& options) {
     tissues.push_back(std::move(entry));
   }
   if (options.json) {
-    std::cout << json{{"ok", true},
-                      {"scene", scene.name},
-                      {"rate_hz", scene.rate_hz},
-                      {"tissues", tissues},
-                      {"notes", scene.notes}}
-                     .dump(2)
-              << '\n';
+    print_json({{"ok", true},
+                {"scene", scene.name},
+                {"rate_hz", scene.rate_hz},
+                {"tissues", tissues},
+                {"notes", scene.notes}});
     return;
   }
   print_instruments(scene);
@@ -145,7 +148,7 @@ json fault_json(const scene::SceneFault& fault) {
 // Tells the faults on standard error, or as JSON on standard output; returns the exit code.
 int tell_faults(const Options& options, const std::string& text, std::size_t count, json faults) {
   if (options.json)
-    std::cout << json{{"ok", false}, {"faults", std::move(faults)}}.dump(2) << '\n';
+    print_json({{"ok", false}, {"faults", std::move(faults)}});
   else
     std::cerr << text << '\n' << count << (count == 1 ? " fault\n" : " faults\n");
   return 1;

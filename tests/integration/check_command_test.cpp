@@ -87,6 +87,22 @@ TEST(CheckCommand, TellsEachFaultWithItsPlaceAndExitsWithOne) {
   EXPECT_EQ(report.at("faults").at(1).at("column"), 11);
 }
 
+TEST(CheckCommand, WritesNamesThatAreNotUtf8AsJson) {
+  const testing::TemporaryFolder folder;
+  const std::string mesh =
+      "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$PhysicalNames\n1\n3 1 "
+      "\"b\xe9ton\"\n$EndPhysicalNames\n$Nodes\n4\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n$EndNodes\n"
+      "$Elements\n1\n1 4 2 1 1 1 2 3 4\n$EndElements\n";
+  const ProgramResult result =
+      sutured({"check", folder.write("a.msh", mesh), "--scale", "0.01", "--json"});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const auto report = nlohmann::json::parse(result.out);
+  EXPECT_EQ(report.at("groups").at(0).at("name"), "b\xef\xbf\xbdton");
+  const ProgramResult missing = sutured({"check", folder.path("\xff.msh"), "--json"});
+  EXPECT_EQ(missing.exit_code, 1) << missing.err;
+  EXPECT_EQ(nlohmann::json::parse(missing.out).at("faults").size(), 1U);
+}
+
 TEST(CheckCommand, RefusesAScriptNamedAsAMesh) {
   const testing::TemporaryFolder folder;
   const std::string canary = folder.path("canary");

@@ -16,6 +16,7 @@ class SpringServer {
  public:
   struct Options {
     suture::ParticipantOptions session;
+    std::string scene = "spring";
     std::vector<std::string> tools{"driver"};
     std::uint32_t protocol_version = suture_v1_PROTOCOL_VERSION;
     double stiffness_n_per_m = 100.0;
@@ -56,7 +57,7 @@ class SpringServer {
     suture::set_text(status.server_version, "0.1.0");
     suture::set_text(status.session, options_.session.session);
     suture::set_text(status.host, "here");
-    suture::set_text(status.scene, "spring");
+    suture::set_text(status.scene, options_.scene);
     suture::lend(status.tools, std::span<const suture::v1::ToolStatus>(tools));
     status_writer_.write(status);
   }

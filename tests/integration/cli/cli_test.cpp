@@ -264,6 +264,16 @@ double started_s(const std::vector<v1::ToolPose>& poses, double speed_m_per_s) {
   return starts.empty() ? 0.0 : *middle;
 }
 
+TEST_F(Cli, DeviceSummarisesASceneWhoseNameIsNotUtf8) {
+  SpringServer::Options options = server_options();
+  options.scene = "spr\xffing";
+  SpringServer server(options);
+  Process device(
+      command({"device", "--quiet", "--surgeon", surgeon(), "--summary", path("summary.json")}));
+  ASSERT_EQ(device.wait(), 0) << device.output();
+  EXPECT_EQ(nlohmann::json::parse(read("summary.json"))["scene"], "spr\xef\xbf\xbding");
+}
+
 TEST_F(Cli, DevicePlaysEveryToolOfAFileOnOneClock) {
   SpringServer server(two_tools());
   PoseWatcher poses;
