@@ -49,7 +49,9 @@ ForceLog::ForceLog(const std::string& path, std::span<const std::string> tools) 
     lanes_.back()->tool = tool;
   }
   if (!path.empty()) {
-    const int fd = ::open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0666);
+    int fd = ::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+    made_ = fd >= 0;
+    if (fd < 0 && errno == EEXIST) fd = ::open(path.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0666);
     file_ = fd < 0 ? nullptr : ::fdopen(fd, "w");
     if (file_ == nullptr) {
       throw Error(ErrorCode::kBadInput, path + ": cannot be written: " + reason(),
@@ -63,6 +65,7 @@ ForceLog::~ForceLog() {
   finishing_ = true;
   if (worker_.joinable()) worker_.join();
   if (file_ != nullptr) std::fclose(file_);
+  if (made_) ::unlink(path_.c_str());
 }
 
 void ForceLog::begin() {
@@ -77,6 +80,7 @@ void ForceLog::begin() {
       "time_s,tool,hand_sequence,force_sequence,state,faults,px_m,py_m,pz_m,qx,qy,qz,qw,jaw,"
       "fx_n,fy_n,fz_n,tx_nm,ty_nm,tz_nm,round_trip_us,model_age_us\n",
       file_);
+  made_ = false;
 }
 
 void ForceLog::push(std::size_t tool, const ForceRecord& record) noexcept {

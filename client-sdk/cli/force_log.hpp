@@ -53,7 +53,8 @@ class ForceTrace {
 /// those of several are mixed within 20 ms.
 class ForceLog {
  public:
-  /// Opens `path`, none if empty, and leaves what is in it until `begin`. Throws Error kBadInput.
+  /// Opens `path`, none if empty, and leaves what is in it until `begin`: a file that was not there
+  /// goes again without one. Throws Error kBadInput.
   ForceLog(const std::string& path, std::span<const std::string> tools);
   ~ForceLog();
   ForceLog(const ForceLog&) = delete;
@@ -94,6 +95,7 @@ class ForceLog {
   std::atomic<bool> finishing_{false};
   std::string path_;
   std::FILE* file_ = nullptr;
+  bool made_ = false;  // the file is ours, and nothing is in it
   std::thread worker_;
 };
 

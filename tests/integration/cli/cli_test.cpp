@@ -274,6 +274,13 @@ TEST_F(Cli, DeviceSummarisesASceneWhoseNameIsNotUtf8) {
   EXPECT_EQ(nlohmann::json::parse(read("summary.json"))["scene"], "spr\xef\xbf\xbding");
 }
 
+TEST_F(Cli, DeviceLeavesNoLogWhereNobodyAnswers) {
+  Process device(
+      command({"device", "--surgeon", surgeon(), "--log", path("log.csv"), "--timeout", "0.01"}));
+  EXPECT_EQ(device.wait(), 3) << device.output();
+  EXPECT_FALSE(std::filesystem::exists(path("log.csv")));
+}
+
 TEST_F(Cli, DevicePlaysEveryToolOfAFileOnOneClock) {
   SpringServer server(two_tools());
   PoseWatcher poses;

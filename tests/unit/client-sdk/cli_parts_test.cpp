@@ -5,9 +5,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <filesystem>
+#include <string>
 
 #include "force_log.hpp"
 #include "force_plot.hpp"
+#include "support/temporary_folder.hpp"
 
 namespace suture::cli {
 namespace {
@@ -34,6 +37,25 @@ TEST(ForceTrace, KeepsEveryPeakHoweverLongItGets) {
   EXPECT_EQ(lowest, -1.0);
   EXPECT_TRUE(std::is_sorted(trace.begin(), trace.end(),
                              [](const auto& a, const auto& b) { return a.time_s < b.time_s; }));
+}
+
+TEST(ForceLog, LeavesNothingBehindOfAPlayThatDidNotBegin) {
+  const sutured::testing::TemporaryFolder folder;
+  const std::array<std::string, 1> tools{"driver"};
+  const std::string fresh = folder.path("fresh.csv");
+  const std::string old = folder.write("old.csv", "of last time\n");
+  {
+    const ForceLog log(fresh, tools), other(old, tools);
+    EXPECT_TRUE(std::filesystem::exists(fresh));  // it can be written
+  }
+  EXPECT_FALSE(std::filesystem::exists(fresh));
+  EXPECT_EQ(sutured::testing::read_file(old), "of last time\n");
+  for (const std::string& path : {fresh, old}) {
+    ForceLog log(path, tools);
+    log.begin();
+  }
+  for (const std::string& path : {fresh, old})
+    EXPECT_THAT(sutured::testing::read_file(path), ::testing::StartsWith("time_s,tool,"));
 }
 
 TEST(ForcePlot, ShowsTitleAxesMarksAndCurve) {
