@@ -93,7 +93,10 @@ std::filesystem::path CheckpointFolder::path_of(const std::string& name) const {
 }
 
 void CheckpointFolder::read_folder() {
-  for (const auto& entry : std::filesystem::directory_iterator(options_.folder)) {
+  std::error_code failed;
+  std::filesystem::directory_iterator entries(options_.folder, failed);
+  for (; !failed && entries != std::filesystem::directory_iterator(); entries.increment(failed)) {
+    const std::filesystem::directory_entry& entry = *entries;
     const std::string name = entry.path().filename().string();
     if (is_cut_off(name)) {
       std::error_code ignored;
@@ -118,6 +121,8 @@ void CheckpointFolder::read_folder() {
     else
       others_[*sequence] = info.identity;
   }
+  if (failed)
+    fail(options_.folder, "cannot be read: " + failed.message(), "choose another --checkpoints");
   ended_ = std::filesystem::exists(options_.folder / "ended") || last_ == 0;
   std::string text;
   std::ifstream resumed(options_.folder / "resumed");

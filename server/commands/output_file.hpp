@@ -10,13 +10,17 @@
 
 namespace sutured::commands {
 
-/// Makes the folder that --out names; throws std::runtime_error with the mend.
+/// An --out that cannot be used: `what()` says why, and the mend.
+struct OutputError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+/// Makes the folder that --out names; throws OutputError.
 inline void make_output_folder(const std::string& folder) {
   std::error_code failed;
   std::filesystem::create_directories(folder, failed);
   if (failed)
-    throw std::runtime_error(folder + ": cannot be made: " + failed.message() +
-                             "; choose another --out");
+    throw OutputError(folder + ": cannot be made: " + failed.message() + "; choose another --out");
 }
 
 /// A text file that is complete or an exception.

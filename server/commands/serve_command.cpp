@@ -17,6 +17,7 @@
 #include <utility>
 #include <vector>
 
+#include "checkpoints/checkpoint_file.hpp"
 #include "commands/config_file.hpp"
 #include "commands/output_file.hpp"
 #include "commands/run_record.hpp"
@@ -253,12 +254,23 @@ int serve(const Options& options) {
   return code;
 }
 
+/// Whoever starts a server again at its end (sutured@.service) does not try a wrong option twice.
+int refuse_option(const std::exception& error) {
+  tell_failure(std::string("sutured serve: ") + error.what());
+  return kBadCommandLine;
+}
+
 int serve_and_tell(const Options& options) {
   try {
     return serve(options);
   } catch (const suture::Error& error) {
     tell_failure(std::string("sutured serve: ") + error.what());
     return exit_code_of(error.code());
+  } catch (const OutputError& error) {
+    return refuse_option(error);
+  } catch (const checkpoints::CheckpointError& error) {
+    // Of the folder: a checkpoint in it that cannot be used is told, and the scene begins anew.
+    return refuse_option(error);
   } catch (const std::exception& error) {
     // A scene's faults carry their own file:line:column.
     tell_failure(error.what());

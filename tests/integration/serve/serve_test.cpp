@@ -607,7 +607,10 @@ TEST_F(Serve, NamesWhatIsWrongWithItsCommandLine) {
     EXPECT_NE(process.output().find(text), std::string::npos) << process.output();
   };
   refuses({scene_, "--domain", "7"}, 2, "even");
-  refuses({scene_, "--out", "/proc/x"}, 1, "/proc/x: cannot be made: ");
+  refuses({scene_, "--out", "/proc/x"}, 2, "/proc/x: cannot be made: ");
+  refuses({scene_, "--domain", std::to_string(session_.domain), "--session", session_.session,
+           "--checkpoints", "/proc/x"},
+          2, "/proc/x: cannot be made: ");
   refuses({scene_, "--rate", "5"}, 2, "rate");
   refuses({scene_, "--http", "127.0.0.1:99999"}, 2, "is not an address");
   refuses({scene_, "--http", "::1:8080"}, 2, "is not an address");
