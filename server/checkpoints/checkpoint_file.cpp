@@ -18,7 +18,7 @@ namespace {
 constexpr std::array<char, 8> kMagic{'S', 'U', 'T', 'C', 'K', 'P', 'T', '\n'};
 constexpr std::uint64_t kBytesMax = std::uint64_t{8} << 30;
 // The head of a file: names are short.
-constexpr std::size_t kHeadMax = 4096;
+constexpr std::size_t kHeadMax = 65536;
 
 // CRC-64/XZ.
 using Crc =
@@ -63,6 +63,15 @@ std::size_t read_head(const std::filesystem::path& path, std::span<const std::by
   } catch (const ArchiveError&) {
     fail(path, "is damaged: its head is cut off or makes no sense", kOther);
   }
+}
+
+/// Refuses a file of `size` bytes whose state begins at `first`, and is not as long as the head
+/// says: behind it stands the checksum alone.
+void expect_length(const std::filesystem::path& path, std::uint64_t size, std::uint64_t first,
+                   const Head& head) {
+  constexpr std::uint64_t kSumBytes = sizeof(std::uint64_t);
+  if (size - first < kSumBytes || size - first - kSumBytes != head.length)
+    fail(path, "is damaged: it is not as long as it says", "use another checkpoint");
 }
 
 }  // namespace
@@ -126,17 +135,20 @@ void write_checkpoint(const std::filesystem::path& path, const CheckpointInfo& i
 
 Checkpoint read_checkpoint(const std::filesystem::path& path, const Identity& expected) {
   std::string content;
+  Head head;
   try {
+    // Whatever else it may be is not read to its end.
+    const geometry::FileHead begin = geometry::read_regular_file_head(path.string(), kHeadMax);
+    const std::size_t before = read_head(path, std::as_bytes(std::span(begin.bytes)), head);
+    expect_length(path, begin.size, before, head);
     content = geometry::read_regular_file(path.string(), kBytesMax);
   } catch (const geometry::FileError& error) {
     fail(path, error.what(), "see whether the name is right");
   }
   const auto bytes = std::as_bytes(std::span(content));
-  Head head;
   const std::size_t first = read_head(path, bytes, head);
   std::uint64_t sum = 0;
-  if (bytes.size() - first < sizeof sum || bytes.size() - first - sizeof sum != head.length)
-    fail(path, "is damaged: it is not as long as it says", "use another checkpoint");
+  expect_length(path, bytes.size(), first, head);
   const auto end = bytes.subspan(first + head.length);
   std::copy(end.begin(), end.end(), std::as_writable_bytes(std::span(&sum, 1)).begin());
   if (checksum(bytes.first(first + head.length)) != sum)

@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstdint>
+#include <filesystem>
 #include <fstream>
 
 #include "archive/archive.hpp"
@@ -77,6 +79,17 @@ TEST_F(CheckpointFile, OneThatIsCutOffOrTooLongIsRefused) {
   }
   put(bytes_ + "x");
   EXPECT_THAT(refusal(path_), HasSubstr("damaged"));
+}
+
+// Longer than any checkpoint is: what it says shows that it was not to be read first.
+TEST_F(CheckpointFile, LooksAtTheHeadBeforeItReadsTheRest) {
+  constexpr std::uintmax_t kLong = std::uintmax_t{9} << 30;  // sparse
+  std::filesystem::resize_file(path_, kLong);
+  EXPECT_THAT(refusal(path_), HasSubstr("not as long as it says"));
+  put("");
+  std::filesystem::resize_file(path_, kLong);
+  EXPECT_THAT(refusal(path_), HasSubstr("is no checkpoint"));
+  EXPECT_THAT(refusal(folder_.path("")), HasSubstr("is not a regular file"));
 }
 
 TEST_F(CheckpointFile, SaysWhoseItIs) {
