@@ -47,18 +47,20 @@ CheckpointKeeper::~CheckpointKeeper() {
 
 // ------------------------------------------------------------------ simulation's thread
 
-void CheckpointKeeper::begin_world(std::uint64_t past, double time_s) {
+void CheckpointKeeper::begin_world(std::uint64_t past) {
   world_ = {world_.number + 1, past};
   copied_ = false;
-  seen_at_s_ = time_s;
   present_past_.store(past);
   present_.store(world_.number);
 }
 
 void CheckpointKeeper::offer(simulation::Simulation& simulation, simulation::QualityMeter* quality,
-                             std::int64_t now_ns) {
-  if (simulation.time_s() < seen_at_s_) begin_world(0, 0.0);  // somebody reset it
-  seen_at_s_ = simulation.time_s();
+                             std::uint64_t epoch, std::int64_t now_ns) {
+  if (epoch != epoch_) {
+    if (epoch_ != 0 && !begun_by_us_) begin_world(0);  // somebody reset it
+    epoch_ = epoch;
+    begun_by_us_ = false;
+  }
   time_s_.store(simulation.time_s(), std::memory_order_relaxed);
   const bool due = now_ns >= due_ns_ && (simulation.time_s() != copied_at_s_ || !copied_);
   const bool asked = asked_.load(std::memory_order_relaxed);
@@ -167,6 +169,7 @@ CheckpointKeeper::Change CheckpointKeeper::change_to(Checkpoint checkpoint, std:
   const auto state = std::make_shared<std::vector<std::byte>>(std::move(checkpoint.state));
   change.apply = [this, state, past](simulation::Simulation& simulation,
                                      simulation::QualityMeter* quality) {
+    begun_by_us_ = true;
     try {
       Archive archive = Archive::reading(*state);
       archive_served(archive, simulation, quality);
@@ -174,10 +177,10 @@ CheckpointKeeper::Change CheckpointKeeper::change_to(Checkpoint checkpoint, std:
     } catch (const ArchiveError&) {
       simulation.reset();
       if (quality != nullptr) quality->reset();
-      begin_world(0, simulation.time_s());
+      begin_world(0);
       throw;
     }
-    begin_world(past, simulation.time_s());
+    begin_world(past);
     due_ns_ = 0;
   };
   return change;

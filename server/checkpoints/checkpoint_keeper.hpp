@@ -76,10 +76,11 @@ class CheckpointKeeper {
   void note_ended() { folder_.note_ended(); }
 
   /// Copies the state where a second has passed since the last copy and the time moved on, or
-  /// somebody asked. Call after each step, and now and then while the simulation stands still.
+  /// somebody asked. Call after each step, and now and then while the simulation stands still. A
+  /// new `epoch` that no Change began is a reset's.
   /// Waits for nobody. Allocates: when the state is larger than every earlier one.
   void offer(simulation::Simulation& simulation, simulation::QualityMeter* quality,
-             std::int64_t now_ns);
+             std::uint64_t epoch, std::int64_t now_ns);
 
   /// Returns how long the last copy took, ns, and its size.
   [[nodiscard]] std::int64_t copy_ns() const { return copy_ns_.load(std::memory_order_relaxed); }
@@ -102,7 +103,7 @@ class CheckpointKeeper {
 
   [[nodiscard]] Change change_to(Checkpoint checkpoint, std::uint64_t past,
                                  std::vector<std::string> refused);
-  void begin_world(std::uint64_t past, double time_s);
+  void begin_world(std::uint64_t past);
   void run() noexcept;
   void write(Copy& copy);
   void say(Word word);
@@ -120,7 +121,9 @@ class CheckpointKeeper {
 
   // Simulation's thread.
   std::int64_t due_ns_ = 0;
-  double copied_at_s_ = -1.0, seen_at_s_ = 0.0;
+  double copied_at_s_ = -1.0;
+  std::uint64_t epoch_ = 0;   // of the last offer; 0: none yet
+  bool begun_by_us_ = false;  // the next epoch is that of a Change
   World world_;
   bool copied_ = true;  ///< something of this world; the first one begins on time
   Copy* spare_ = nullptr;

@@ -125,8 +125,8 @@ Server::Server(scene::Scene scene, Options options)
   if (s.options.checkpoints) {
     s.keeper.emplace(checkpoints::CheckpointKeeper::Options{*s.options.checkpoints}, s.scene);
     loop_options.keep = [keeper = &*s.keeper](auto& simulation_now, auto* quality,
-                                              std::int64_t now_ns) {
-      keeper->offer(simulation_now, quality, now_ns);
+                                              std::uint64_t epoch, std::int64_t now_ns) {
+      keeper->offer(simulation_now, quality, epoch, now_ns);
     };
     loop_options.resumed = s.resume(simulation, *loop_options.quality);
   }

@@ -158,7 +158,7 @@ void SimulationLoop::run() noexcept {
       } else {
         step(now_ns, static_cast<double>(beats) * static_cast<double>(period_ns_) * 1e-9);
       }
-      if (options_.keep) options_.keep(simulation_, quality(), suture::monotonic_ns());
+      if (options_.keep) options_.keep(simulation_, quality(), epoch(), suture::monotonic_ns());
       beats_.fetch_add(1, std::memory_order_relaxed);
       const NextTick next = next_tick(due_ns, suture::monotonic_ns(), period_ns_);
       overruns_.fetch_add(next.missed, std::memory_order_relaxed);
@@ -166,7 +166,7 @@ void SimulationLoop::run() noexcept {
       beats = next.missed + 1;
     }
     if (options_.keep)
-      options_.keep(simulation_, quality(), std::numeric_limits<std::int64_t>::max());
+      options_.keep(simulation_, quality(), epoch(), std::numeric_limits<std::int64_t>::max());
     if (options_.watch) options_.watch(simulation_, true);
   } catch (const std::exception& error) {
     failure_ = error.what();

@@ -94,7 +94,8 @@ class SimulationLoop {
     std::function<void(simulation::Simulation&, bool last)> watch;
     /// Called on the simulation's thread after each step, and at each beat while it stands still:
     /// for copies of the state. Must not wait.
-    std::function<void(simulation::Simulation&, simulation::QualityMeter*, std::int64_t now_ns)>
+    std::function<void(simulation::Simulation&, simulation::QualityMeter*, std::uint64_t epoch,
+                       std::int64_t now_ns)>
         keep;
     /// The simulation comes with a past: its tools stay where they are until their hands come.
     bool resumed = false;

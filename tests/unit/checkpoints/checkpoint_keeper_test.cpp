@@ -29,18 +29,19 @@ class Keeper : public ::testing::Test {
   }
   void keep() {
     const std::string file = file_of(++written_);
-    keeper_.offer(simulation_, nullptr, now_ns_ += 10);
+    keeper_.offer(simulation_, nullptr, epoch_, now_ns_ += 10);
     for (int i = 0; i < 5000 && !std::filesystem::exists(file); ++i)
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     ASSERT_TRUE(std::filesystem::exists(file)) << file;
     // Its thread has told itself, too, once it writes a name behind it.
     keeper_.ask("told");
-    keeper_.offer(simulation_, nullptr, now_ns_);
+    keeper_.offer(simulation_, nullptr, epoch_, now_ns_);
     while (!keeper_.next_word()) std::this_thread::sleep_for(std::chrono::milliseconds(1));
   }
   /// Goes back and returns the time there.
   double rewind(double seconds) {
     keeper_.back_by(seconds).apply(simulation_, nullptr);
+    ++epoch_;
     return simulation_.time_s();
   }
   std::string fault_of_rewind(double seconds) {
@@ -53,7 +54,7 @@ class Keeper : public ::testing::Test {
   }
   void reset() {
     simulation_.reset();
-    keeper_.offer(simulation_, nullptr, now_ns_);  // nothing is due
+    keeper_.offer(simulation_, nullptr, ++epoch_, now_ns_);  // nothing is due
   }
   [[nodiscard]] std::string file_of(int sequence) const {
     const std::string number = std::to_string(sequence);
@@ -67,6 +68,7 @@ class Keeper : public ::testing::Test {
   std::array<simulation::ToolInput, testing::kBlockTools> away_{};
   CheckpointKeeper keeper_{{{path_, 50}, 5}, scene_};
   std::int64_t now_ns_ = 0;
+  std::uint64_t epoch_ = 1;
   int written_ = 0;
 };
 
@@ -89,6 +91,16 @@ TEST_F(Keeper, AfterAResetThereIsNothingToRewindTo) {
   step(2);
   reset();
   EXPECT_THAT(fault_of_rewind(1.0), HasSubstr("just after a reset"));
+}
+
+TEST_F(Keeper, NoticesAResetThatTheTimeDoesNotShow) {
+  simulation_.step(away_, 0.004);
+  keep();
+  // The next step is longer than all before the reset.
+  simulation_.reset();
+  ++epoch_;
+  step(2);
+  EXPECT_DOUBLE_EQ(rewind(1.0), 0.01) << "not into the world before it";
 }
 
 }  // namespace
