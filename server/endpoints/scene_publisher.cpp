@@ -415,8 +415,15 @@ void ScenePublisher::change_world(const suture::v1::Command& command,
     return refuse("the simulation has ended: " + failure);
   const std::uint64_t epoch = served_.loop.epoch();
   if (command.kind == suture_v1_COMMAND_RESET) {
+    if (served_.loop.reset()) {
+      // The last word counts; what it overtook has not been done.
+      std::erase_if(changes_, [this](PendingChange& pending) {
+        if (pending.event != suture_v1_EVENT_REWOUND) return false;
+        answer(pending.reply, suture_v1_COMMAND_REFUSED, "a reset came behind it; ask again");
+        return true;
+      });
+    }
     changes_.push_back({reply, epoch, suture_v1_EVENT_RESET, ""});
-    served_.loop.reset();
     return;
   }
   if (served_.keeper == nullptr) return refuse(kNoCheckpoints);

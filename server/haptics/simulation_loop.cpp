@@ -84,6 +84,14 @@ void SimulationLoop::begin_epoch() {
   std::fill(changed_.begin(), changed_.end(), 0);
 }
 
+bool SimulationLoop::reset() {
+  const std::lock_guard lock(replace_mutex_);
+  const bool overtakes = std::exchange(replace_, nullptr) != nullptr;
+  replace_asked_.store(false, std::memory_order_relaxed);
+  resets_asked_.fetch_add(1, std::memory_order_relaxed);
+  return overtakes;
+}
+
 void SimulationLoop::replace_state(Replace replace) {
   const std::lock_guard lock(replace_mutex_);
   replace_ = std::move(replace);

@@ -116,13 +116,14 @@ class SimulationLoop {
 
   void pause(bool paused) noexcept;
   [[nodiscard]] bool paused() const noexcept { return paused_.load(std::memory_order_relaxed); }
-  /// Goes back to the start before the next step; `epoch` changes when that is done.
-  void reset() noexcept { resets_asked_.fetch_add(1, std::memory_order_relaxed); }
+  /// Goes back to the start before the next step; `epoch` changes when that is done. Returns
+  /// whether a `replace` still waited, which it overtakes: that is then never called.
+  bool reset();
   /// Calls `replace` before the next step, and begins an epoch: what is felt goes to zero and comes
   /// back by a ramp. A tool that the new state has somewhere stays there, with what it holds, until
   /// its device has engaged from there, for kStay_ns at most; then it leaves the scene until that.
   /// One that a device moves in the world itself, and that is then farther off than kJoin_m, lets
-  /// go. The last one that was given before a step counts.
+  /// go. The last one that was given before a step counts; a reset behind it takes it back.
   void replace_state(Replace replace);
   /// Returns why the last `replace` failed; empty where it did not. Holds from the new epoch on.
   [[nodiscard]] std::string replace_failure() const;

@@ -14,6 +14,7 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <map>
 #include <mutex>
 #include <set>
 #include <vector>
@@ -940,6 +941,49 @@ TEST_F(Serve, GoesOnAfterAnEndAsAskedWhereItIsToldTo) {
   EXPECT_FALSE(starts_and_ends({"--resume", "always"})) << "there is none";
   EXPECT_TRUE(starts_and_ends({"--resume", "always"}));
   EXPECT_FALSE(starts_and_ends({})) << "the default begins anew after an end as asked";
+}
+
+TEST_F(Serve, OfARewindAndAResetAtOnceTheLastIsDone) {
+  start_server({"--checkpoints", folder_.path("checkpoints"), "--rate", "30"});
+  suture::Writer<suture::v1::Command> commands(participant_);
+  suture::Reader<suture::v1::CommandReply> replies(participant_);
+  ASSERT_TRUE(eventually([&] { return commands.matched() > 0 && replies.matched() > 0; }));
+  suture::v1::Command command{};
+  suture::set_guid(command.requester, commands.guid());
+  std::map<std::uint64_t, suture::v1::CommandReply> answers;
+  const auto answer_to = [&](std::uint64_t request) {
+    EXPECT_TRUE(eventually([&] {
+      suture::v1::CommandReply reply;
+      suture::SampleInfo info;
+      while (replies.take(reply, info))
+        if (info.valid) answers[reply.request] = reply;
+      return answers.contains(request);
+    })) << request;
+    return answers[request];
+  };
+  const auto ask = [&](suture_v1_CommandKind kind) {
+    command.kind = kind;
+    command.seconds = 0.1;
+    ++command.request;
+    commands.write(command);
+    return command.request;
+  };
+  // A server that stands still hears both at once when it goes on; should a beat have come between
+  // them, they are given again.
+  bool overtaken = false;
+  for (int i = 0; i < 5 && !overtaken; ++i) {
+    // Until there is something to go back to.
+    ASSERT_TRUE(eventually(
+        [&] { return answer_to(ask(suture_v1_COMMAND_REWIND)).result == suture_v1_COMMAND_DONE; }));
+    server_->send(SIGSTOP);
+    const std::uint64_t rewind = ask(suture_v1_COMMAND_REWIND);
+    const std::uint64_t reset = ask(suture_v1_COMMAND_RESET);
+    server_->send(SIGCONT);
+    EXPECT_EQ(answer_to(reset).result, suture_v1_COMMAND_DONE);
+    overtaken = answer_to(rewind).result == suture_v1_COMMAND_REFUSED &&
+                suture::text_of(answers[rewind].text).starts_with("a reset came behind it");
+  }
+  EXPECT_TRUE(overtaken);
 }
 
 TEST_F(Serve, WithoutAFolderRefusesWhatWantsCheckpoints) {
