@@ -50,6 +50,11 @@ class ForceService {
   /// Moves the oldest command not yet answered into `command`; false where there is none. One
   /// caller.
   bool next_command(suture::v1::Command& command) noexcept { return commands_heard_.pop(command); }
+  /// Returns how many commands found no room among those not yet answered: they stay without an
+  /// answer, though a stop or a resume of them acted.
+  [[nodiscard]] std::uint64_t commands_dropped() const noexcept {
+    return commands_heard_.dropped();
+  }
   /// Stops all tools; no resume is obeyed any more. Any thread.
   void stop_for_good() noexcept;
 

@@ -311,6 +311,12 @@ void ScenePublisher::publish_events(std::int64_t now_ns) {
                                        " events were dropped: more than 1024 waited");
     events_dropped_told_ = dropped;
   }
+  if (const std::uint64_t dropped = served_.forces.commands_dropped();
+      dropped != commands_dropped_told_) {
+    notice(suture_v1_EVENT_NOTICE, std::to_string(dropped - commands_dropped_told_) +
+                                       " commands were dropped: more than 64 waited");
+    commands_dropped_told_ = dropped;
+  }
   if (const std::uint64_t overruns = served_.loop.overruns();
       overruns != overruns_told_ && now_ns - overruns_told_ns_ >= kFaultPeriod_ns) {
     suture::v1::Event event{};

@@ -145,6 +145,7 @@ class ScenePublisher {
   std::uint64_t status_sequence_ = 0, event_sequence_ = 0, frame_sequence_ = 0;
   std::uint64_t quality_sequence_ = 0;
   std::uint64_t topology_epoch_ = 0, events_dropped_told_ = 0, overruns_told_ = 0;
+  std::uint64_t commands_dropped_told_ = 0;
   std::uint64_t steps_then_ = 0, frames_since_ = 0;
   std::array<std::int64_t, haptics::SimulationLoop::kStages> stage_ns_then_{};
   std::int64_t status_ns_ = 0;

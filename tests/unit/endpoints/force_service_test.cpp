@@ -61,6 +61,23 @@ TEST_F(ForceServiceTest, CountsPosesForToolsThatTheSceneHasNot) {
   }));
 }
 
+TEST_F(ForceServiceTest, CountsCommandsThatFindNoRoom) {
+  suture::Writer<suture::v1::Command> commands(participant_);
+  suture::v1::Command command{};
+  command.kind = suture_v1_COMMAND_PAUSE;
+  // Until the service hears this writer.
+  ASSERT_TRUE(eventually([&] {
+    commands.write(command);
+    return service_.next_command(command);
+  }));
+  while (service_.next_command(command)) {
+  }
+  for (int i = 0; i < 64; ++i) commands.write(command);
+  EXPECT_EQ(service_.commands_dropped(), 0U);
+  commands.write(command);
+  EXPECT_TRUE(eventually([&] { return service_.commands_dropped() == 1; }));
+}
+
 TEST_F(ForceServiceTest, EndsTheLeaseOfAWriterThatLeft) {
   (void)await_answer();
   service_.end_leases_of_the_departed();
