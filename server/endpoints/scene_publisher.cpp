@@ -474,7 +474,7 @@ void ScenePublisher::keep_checkpoint(const suture::v1::Command& command,
   try {
     served_.keeper->ask(name);
     checkpoints_asked_.emplace_back(name, reply);
-  } catch (const checkpoints::CheckpointError& error) {
+  } catch (const std::exception& error) {
     answer(reply, suture_v1_COMMAND_REFUSED, error.what());
   }
 }
