@@ -134,3 +134,35 @@ describe("Foxglove's packages", { timeout: 240_000 }, () => {
       });
     });
 });
+
+describe("a page of another origin", { timeout: 120_000 }, () => {
+  // As Lichtblick on the desktop, Foxglove on the web, and one that begins like it.
+  const [desktop, web, other] = ["file://", "https://app.foxglove.dev", "https://app.foxglove.dev.example"];
+  const come = async (server, origin) => {
+    const connection = await Connection.open(server.socket, "foxglove.sdk.v1", { origin });
+    await connection.first("suture/status");
+    connection.close();
+  };
+  const refused = (server, origin) => assert.rejects(Connection.open(server.socket, "foxglove.sdk.v1", { origin }), /403/, origin);
+
+  it("is refused", async () => {
+    const server = await Server.start();
+    try {
+      for (const origin of [desktop, web, other, "null"]) await refused(server, origin);
+      await come(server, new URL(server.url).origin);
+      await come(server, undefined);
+    } finally {
+      await server.end();
+    }
+  });
+
+  it("is let in where --http-origin names it", async () => {
+    const server = await Server.start({ options: ["--http-origin", desktop, "--http-origin", web] });
+    try {
+      for (const origin of [desktop, web]) await come(server, origin);
+      for (const origin of [other, "null"]) await refused(server, origin);
+    } finally {
+      await server.end();
+    }
+  });
+});
