@@ -369,7 +369,7 @@ struct WebServer::State {
     patience.idle_timeout = options.idle_patience;
     patience.keep_alive_pings = true;
     socket.set_option(patience);
-    socket.read_message_max(kMessageMax);
+    socket.read_message_max(0);  // `listen` counts: Beast's own goodbye would be lost (README.md)
     socket.auto_fragment(false);
     socket.set_option(
         websocket::stream_base::decorator([&accepted](websocket::response_type& response) {
@@ -409,9 +409,11 @@ struct WebServer::State {
     asio::steady_timer bell(*io, Clock::time_point::max());
     const Presence presence(*this, client, bell);
     bool over = false;
+    std::optional<Close> refusal;
     using asio::experimental::awaitable_operators::operator&&;
     try {
-      co_await (listen(socket, client, over) && speak(socket, client, bell, end, over));
+      co_await (listen(socket, client, over, refusal) &&
+                speak(socket, client, bell, end, over, refusal));
     } catch (const asio::multiple_exceptions& both) {  // the second was cancelled by the first
       note(both.first_exception());
     } catch (...) {
@@ -424,8 +426,10 @@ struct WebServer::State {
     while (end.expiry() > Clock::now()) co_await end.async_wait(kAwait);
   }
 
+  /// `refusal` becomes why the client is heard no more, for `speak` to say.
   template <class Socket>
-  asio::awaitable<void> listen(Socket& socket, WebClient& client, bool& over) {
+  asio::awaitable<void> listen(Socket& socket, WebClient& client, bool& over,
+                               std::optional<Close>& refusal) {
     // Piece by piece: Beast's read of a whole message does not bear a close that begins between two
     // of them, reads too, and passes over the rest.
     beast::flat_buffer message(kMessageMax + kPiece);
@@ -433,6 +437,11 @@ struct WebServer::State {
       auto [error, size] = co_await socket.async_read_some(message.prepare(kPiece), kAwait);
       if (error) break;
       message.commit(size);
+      if (message.size() > kMessageMax) {
+        refusal = Close{1009, "a message is longer than 64 KiB"};
+        client.wake();
+        co_return;
+      }
       if (!socket.is_message_done()) continue;
       counters.bytes_received += message.size();
       const std::string_view body(static_cast<const char*>(message.cdata().data()), message.size());
@@ -449,10 +458,12 @@ struct WebServer::State {
 
   template <class Socket>
   asio::awaitable<void> speak(Socket& socket, WebClient& client, asio::steady_timer& bell,
-                              asio::steady_timer& end, bool& over) {
+                              asio::steady_timer& end, bool& over,
+                              const std::optional<Close>& refusal) {
     while (!over) {
-      if (const auto close =
-              stopping ? std::optional(Close{1001, "the server ends"}) : client.closing()) {
+      if (const auto close = stopping  ? std::optional(Close{1001, "the server ends"})
+                             : refusal ? refusal
+                                       : client.closing()) {
         websocket::close_reason reason;
         reason.code = close->code;
         reason.reason = close->reason.substr(0, 120);

@@ -211,6 +211,33 @@ TEST_F(PatienceTest, AClientThatTalksThroughTheGoodbyeIsLetGo) {
   }
 }
 
+TEST_F(PatienceTest, AClientWhoseMessageIsTooLongHearsWhy) {
+  // All of it is sent before it is heard: an end that left some unread would be a reset, which
+  // takes the goodbye away.
+  constexpr std::string_view kWhy =
+      "\x03\xF1"
+      "a message is longer than 64 KiB";  // 1009
+  constexpr std::uint8_t kFirst = 0x01, kNext = 0x00;
+  std::string parts = testing::web_frame(kFirst, "a");
+  for (int i = 0; i < 40; ++i) parts += testing::web_frame(kNext, std::string(4000, 'b'));
+  const std::string whole =
+      testing::web_frame(testing::WebClient::kText, std::string(1'000'000, 'x'));
+  for (const char* path : {"/silent", "/talks"})
+    for (const std::string& message : {whole, parts}) {
+      const testing::TcpClient client = talk(path);
+      EXPECT_TRUE(client.send(message)) << path;
+      hear(client, kWhy);
+      EXPECT_TRUE(client.send(testing::web_frame(0x88, kWhy.substr(0, 2)))) << path;
+      EXPECT_TRUE(eventually([&] { return open_connections() == 0; })) << path;
+    }
+}
+
+TEST_F(PatienceTest, AMessageOfTheLargestSizeIsHeard) {
+  const testing::TcpClient client = talk("/silent");
+  client.send(testing::web_frame(testing::WebClient::kText, std::string(64U << 10U, 'x')));
+  hear(client, "as you say");
+}
+
 TEST_F(PatienceTest, AClientThatAnswersPingsStays) {
   const testing::TcpClient quiet = connect("/silent");
   std::string heard;
