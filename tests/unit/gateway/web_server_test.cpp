@@ -67,6 +67,41 @@ TEST_F(WebServerTest, AFaultEndsItsConnectionAndIsCountedAndTold) {
   EXPECT_THAT(told()[0], HasSubstr("of ours"));
 }
 
+/// What the server answers to `request`, which need not be a whole one.
+std::string answer_to(std::uint16_t port, const std::string& request) {
+  const testing::TcpClient client(port);
+  client.send(request);
+  return client.finish();
+}
+
+TEST_F(WebServerTest, ReadsAndNothingElse) {
+  for (const char* method : {"POST", "PUT", "DELETE", "OPTIONS"}) {
+    const std::string answer =
+        answer_to(server_.port(), std::string(method) + " / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
+    EXPECT_TRUE(answer.starts_with("HTTP/1.1 405 ")) << method << ": " << answer;
+    EXPECT_THAT(answer, HasSubstr("Allow: GET, HEAD\r\n")) << method;
+    EXPECT_THAT(answer, HasSubstr("GET and HEAD only")) << method;
+  }
+  const std::string head = answer_to(server_.port(), "HEAD / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
+  EXPECT_TRUE(head.starts_with("HTTP/1.1 200 ")) << head;
+  EXPECT_TRUE(head.ends_with("\r\n\r\n")) << "no body: " << head;
+}
+
+TEST_F(WebServerTest, HeadersMayHaveEightKibibytes) {
+  const auto padded = [&](std::size_t size) {
+    std::string request = "GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Padding: ";
+    constexpr std::string_view kEnd = "\r\n\r\n";
+    request.append(size - request.size() - kEnd.size(), 'x');
+    return answer_to(server_.port(), request.append(kEnd));
+  };
+  constexpr std::size_t kMax = 8U << 10U;
+  EXPECT_THAT(padded(kMax), HasSubstr("fine"));
+  const std::string refusal = padded(kMax + 512);
+  EXPECT_TRUE(refusal.starts_with("HTTP/1.1 431 ")) << refusal;
+  EXPECT_THAT(refusal, HasSubstr("the request's headers are too long"));
+  EXPECT_THAT(padded(kMax), HasSubstr("fine")) << "the others stay";
+}
+
 TEST_F(WebServerTest, ATaskThatFailsIsRunAgain) {
   std::atomic<int> runs = 0;
   server_.every(std::chrono::milliseconds(1), [&runs] {
