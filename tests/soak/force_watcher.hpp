@@ -28,7 +28,8 @@ class ForceWatcher {
     /// force that was felt to zero.
     double fall_per_s = 0.0;
     int fades = 0;
-    std::uint32_t model_age_us = 0, faults = 0;
+    std::uint32_t model_age_us = 0;  ///< while the tool is neither idle nor stopped nor paused
+    std::uint32_t faults = 0;
     bool rendering = false;  ///< the last force was the model's
   };
 
@@ -63,7 +64,7 @@ class ForceWatcher {
       const double magnitude = norm(force.force_n);
       worst_.force_n = std::max(worst_.force_n, std::isfinite(magnitude) ? magnitude : HUGE_VAL);
       worst_.felt += magnitude > kFelt_n ? 1 : 0;
-      if (force.state == suture_v1_TOOL_RENDERING && force.model_age_us != UINT32_MAX)
+      if (is_served(force.state) && force.model_age_us != UINT32_MAX)
         worst_.model_age_us = std::max(worst_.model_age_us, force.model_age_us);
       if (last_.sequence_number != 0 && force.sequence_number > last_.sequence_number) {
         double step_n[3];
@@ -87,6 +88,11 @@ class ForceWatcher {
     }
   }
 
+  /// A model that ages takes the tool out of TOOL_RENDERING: its age counts beyond that.
+  static bool is_served(suture_v1_ToolState state) {
+    return state != suture_v1_TOOL_IDLE && state != suture_v1_TOOL_STOPPED &&
+           state != suture_v1_TOOL_PAUSED;
+  }
   static double norm(const double (&v)[3]) { return std::hypot(v[0], v[1], v[2]); }
 
   std::uint64_t tool_;

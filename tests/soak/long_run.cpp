@@ -176,7 +176,7 @@ int run(double seconds) {
               1e-3 * static_cast<double>(counts.round_trip_max_ns), 100.0 * answered);
   std::printf("  force          at most %.4f N, worst step %.5f N, %.2f of what the slew allows\n",
               worst.force_n, worst.step_n, worst.over_slew);
-  std::printf("  oldest model   %.1f ms while rendering\n", 1e-3 * worst.model_age_us);
+  std::printf("  oldest model   %.1f ms while the tool is served\n", 1e-3 * worst.model_age_us);
   std::printf("  faults         %s\n", suture::fault_names(worst.faults).c_str());
   std::printf("  memory         %.0f KiB in the second round, then", warm_kib);
   for (std::size_t i = 2; i < round_kib.size(); ++i) std::printf(" %+.0f", round_kib[i] - warm_kib);
