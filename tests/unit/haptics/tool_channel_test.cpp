@@ -540,7 +540,8 @@ TEST(ToolChannel, NeitherAllocatesNorLocks) {
 }
 
 // Four threads at once, as in the server; the thread sanitizer watches. Every pose is
-// answered at most once and in order, whoever answers.
+// answered at most once and in order, whoever answers. The device renders itself, and what it
+// says to have shown comes on the thread of its poses.
 TEST(ToolChannel, AnswersInOrderFromTwoThreads) {
   constexpr std::uint64_t kPoses = 20'000;
   scene::Tool tool;
@@ -572,11 +573,15 @@ TEST(ToolChannel, AnswersInOrderFromTwoThreads) {
   });
   PoseSample pose;
   pose.writer = 1;
+  pose.renders_itself = true;
+  RenderedSample rendered;
   for (std::uint64_t i = 1; i <= kPoses; ++i) {
     pose.sequence = i;
     // Every other pose is late, so that the supervisor takes over now and then.
     const std::int64_t now = clock.fetch_add(i % 2 ? kMs : 5 * kMs) + (i % 2 ? kMs : 5 * kMs);
     if (const auto force = channel.on_pose(pose, now)) by_receive.push_back(force->pose_sequence);
+    rendered.wrench.force_n[0] = 1e-3 * static_cast<double>(i);
+    channel.on_rendered(rendered, now);
   }
   done = true;
   supervisor.join();
