@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <array>
 #include <functional>
 #include <limits>
 #include <random>
@@ -445,6 +447,73 @@ TEST_F(BlockSimulation, ShowingTheTissueDoesNotHideWhatChanged) {
   }
   EXPECT_TRUE(sim.needles()[0].tip_inside);
   EXPECT_GE(changes, 3);  // grasped, touched, in
+}
+
+/// Notes of every step whether the responses told of a change, and what happened in it.
+class WorldChanges : public BlockSimulation {
+ protected:
+  struct Step {
+    std::array<bool, kBlockTools> changed{}, touching{};
+    std::vector<EventKind> told;
+    [[nodiscard]] bool tells(EventKind kind) const {
+      return std::find(told.begin(), told.end(), kind) != told.end();
+    }
+  };
+  /// Moves a tool within `count` steps; a jaw that is not `jaw` moves in the first.
+  void play(int tool, const Vec3& to, int count, double jaw) {
+    const Vec3 from = inputs[at(tool)].position_m;
+    inputs[at(tool)].jaw = jaw;
+    for (int i = 1; i <= count; ++i) {
+      inputs[at(tool)].position_m = from + (to - from) * i / count;
+      step();
+      Step& now = steps.emplace_back();
+      for (std::size_t t = 0; t < kBlockTools; ++t) {
+        now.changed[t] = sim.responses()[t].world_changed;
+        now.touching[t] = sim.responses()[t].touching;
+      }
+      for (const Event& event : sim.events()) now.told.push_back(event.kind);
+    }
+  }
+
+  std::vector<Step> steps;
+};
+
+TEST_F(WorldChanges, AreToldInTheStepsOfAProbesFirstContactAndOfItsLoss) {
+  const Vec3 above(-0.0051, -0.0043, 0.004), within(-0.0051, -0.0043, 0.0012);
+  inputs[kProbe] = tool_at(above);
+  play(kProbe, within, 40, 0.0);
+  play(kProbe, within + Vec3(0.001, 0.0005, 0.0), 20, 0.0);  // over edges: no change
+  play(kProbe, above, 40, 0.0);
+  int changes = 0;
+  bool touched = false;
+  for (std::size_t i = 0; i < steps.size(); ++i) {
+    EXPECT_EQ(steps[i].changed[kProbe], steps[i].touching[kProbe] != touched) << "step " << i;
+    EXPECT_FALSE(steps[i].changed[kDriver]) << "step " << i;  // it is the probe's alone
+    touched = steps[i].touching[kProbe];
+    changes += steps[i].changed[kProbe];
+  }
+  EXPECT_EQ(changes, 2);
+}
+
+/// A jaw's grasp is its own; what happens to the needle is told to every tool.
+TEST_F(WorldChanges, AreToldInTheStepsOfANeedlesEvents) {
+  inputs[kDriver] = tool_at(kTail, 0.0);
+  play(kDriver, kTail, 3, 0.0);
+  play(kDriver, kTail, 5, 1.0);                            // grasped
+  play(kDriver, kTail - Vec3(0.0, 0.0, 0.006), 100, 1.0);  // touches, and goes in
+  play(kDriver, kTail, 100, 1.0);                          // comes out
+  play(kDriver, kTail, 5, 0.0);                            // let go
+  for (std::size_t i = 0; i < steps.size(); ++i) {
+    const bool jaw = steps[i].tells(EventKind::kGrasp) || steps[i].tells(EventKind::kRelease);
+    // That the tip begins to press is in the response at once, and an event of the next step.
+    const bool needle = steps[i].tells(EventKind::kPuncture) || steps[i].tells(EventKind::kExit) ||
+                        (i + 1 < steps.size() && steps[i + 1].tells(EventKind::kContact));
+    EXPECT_EQ(steps[i].changed[kDriver], jaw || needle) << "step " << i;
+    EXPECT_EQ(steps[i].changed[kAssistant], needle) << "step " << i;
+  }
+  for (const EventKind kind : {EventKind::kGrasp, EventKind::kContact, EventKind::kPuncture,
+                               EventKind::kExit, EventKind::kRelease})
+    EXPECT_EQ(count(kind), 1) << "kind " << static_cast<int>(kind);
 }
 
 /// The weak spring to a needle's last pose gives way 1e6 rad/(N m): in radians those rows would
