@@ -8,7 +8,6 @@
 #include <utility>
 
 #include "endpoints/wire.hpp"
-#include "needle/curve.hpp"
 
 namespace sutured::endpoints {
 namespace {
@@ -20,7 +19,6 @@ constexpr std::int64_t kStatusPeriod_ns = 500'000'000;
 constexpr std::int64_t kQualityPeriod_ns = 500'000'000;
 // A fault that lasts, or comes a thousand times a second, is told once a second.
 constexpr std::int64_t kFaultPeriod_ns = 1'000'000'000;
-constexpr int kCoursePoints = 33;
 constexpr std::size_t kProfilesMax = 64;
 // Devices that may tell of one tool between two beats.
 constexpr int kProfilesAtOnce = 16;
@@ -184,34 +182,11 @@ void ScenePublisher::publish_frame(const haptics::DisplayFrame& frame) {
 
 void ScenePublisher::publish_needles(const haptics::DisplayFrame& frame) {
   for (std::size_t n = 0; n < frame.needles.size(); ++n) {
-    const simulation::NeedleState& state = frame.needles[n];
-    const scene::Needle& needle = served_.scene.needles[n];
-    const needle::Curve curve = needle::Curve::of(needle);
-    const scene::Pose pose{state.position_m, state.orientation};
-    course_m_.clear();
-    for (int i = 0; i < kCoursePoints; ++i) {
-      const double from_tip = curve.length_m() * i / (kCoursePoints - 1);
-      const auto p = curve.point(pose, curve.length_m() - from_tip);
-      course_m_.insert(course_m_.end(), {p.x(), p.y(), p.z()});
-    }
     suture::v1::NeedleState wire{};
-    suture::set_text(wire.needle, needle.name);
+    set_needle(wire, served_.scene, n, frame.needles[n], course_m_, punctures_);
     wire.epoch = frame.epoch;
     wire.sequence_number = frame_sequence_;
     wire.stamp_ns = frame.stamp_ns;
-    wire.shape = curve.is_arc() ? suture_v1_NEEDLE_ARC : suture_v1_NEEDLE_STRAIGHT;
-    wire.radius_m = curve.radius_m();
-    wire.length_m = curve.length_m();
-    wire.diameter_m = needle.diameter_m;
-    for (int i = 0; i < 3; ++i) wire.position_m[i] = state.position_m[i];
-    for (int i = 0; i < 4; ++i) wire.orientation_xyzw[i] = state.orientation.coeffs()[i];
-    if (state.holder >= 0)
-      suture::set_text(wire.holder, served_.tools[static_cast<std::size_t>(state.holder)].name);
-    wire.tip_inside = state.tip_inside;
-    wire.tip_force_n = state.tip_force_n;
-    wire.embedded_length_m = state.embedded_length_m;
-    wire.active_cells = static_cast<std::uint32_t>(state.active_cells);
-    suture::lend(wire.course_m, std::span<const double>(course_m_));
     needles_.write(wire);
   }
 }

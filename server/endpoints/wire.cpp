@@ -5,8 +5,12 @@
 #include <cmath>
 #include <span>
 
+#include "needle/curve.hpp"
+
 namespace sutured::endpoints {
 namespace {
+
+constexpr int kNeedlePoints = 33;  // of its course
 
 using haptics::Fault;
 using haptics::fault_bit;
@@ -103,6 +107,21 @@ suture_v1_EventKind wire_kind(simulation::EventKind kind) noexcept {
       return suture_v1_EVENT_UNTHREAD;
   }
   return suture_v1_EVENT_NOTICE;
+}
+
+/// Fills `wire`, which lends from `to`.
+template <class From, class Sequence>
+void set_punctures(Sequence& wire, const scene::Scene& scene, const std::vector<From>& from,
+                   std::vector<suture::v1::Puncture>& to) {
+  to.clear();
+  for (const From& puncture : from) {
+    suture::v1::Puncture& out = to.emplace_back();
+    suture::set_text(out.body, name_at(scene.tissues, puncture.tissue));
+    for (int i = 0; i < 3; ++i) out.position_m[i] = puncture.position_m[i];
+    out.arc_length_m = puncture.arc_length_m;
+    out.inward = puncture.inward;
+  }
+  suture::lend(wire, std::span<const suture::v1::Puncture>(to));
 }
 
 }  // namespace
@@ -266,6 +285,34 @@ std::string_view held_name(const scene::Scene& scene, const simulation::HeldThin
   return {};
 }
 
+void set_needle(suture::v1::NeedleState& wire, const scene::Scene& scene, std::size_t index,
+                const simulation::NeedleState& state, std::vector<double>& course_m,
+                std::vector<suture::v1::Puncture>& punctures) {
+  const scene::Needle& needle = scene.needles[index];
+  const needle::Curve curve = needle::Curve::of(needle);
+  const scene::Pose pose{state.position_m, state.orientation};
+  course_m.clear();
+  for (int i = 0; i < kNeedlePoints; ++i) {
+    const double from_tip = curve.length_m() * i / (kNeedlePoints - 1);
+    const auto p = curve.point(pose, curve.length_m() - from_tip);
+    course_m.insert(course_m.end(), {p.x(), p.y(), p.z()});
+  }
+  suture::set_text(wire.needle, needle.name);
+  wire.shape = curve.is_arc() ? suture_v1_NEEDLE_ARC : suture_v1_NEEDLE_STRAIGHT;
+  wire.radius_m = curve.radius_m();
+  wire.length_m = curve.length_m();
+  wire.diameter_m = needle.diameter_m;
+  for (int i = 0; i < 3; ++i) wire.position_m[i] = state.position_m[i];
+  for (int i = 0; i < 4; ++i) wire.orientation_xyzw[i] = state.orientation.coeffs()[i];
+  suture::set_text(wire.holder, name_at(scene.tools, state.holder));
+  wire.tip_inside = state.tip_inside;
+  wire.tip_force_n = state.tip_force_n;
+  wire.embedded_length_m = state.embedded_length_m;
+  wire.active_cells = static_cast<std::uint32_t>(state.active_cells);
+  suture::lend(wire.course_m, std::span<const double>(course_m));
+  set_punctures(wire.punctures, scene, state.punctures, punctures);
+}
+
 void set_thread(suture::v1::ThreadState& wire, const scene::Scene& scene, std::size_t thread,
                 const simulation::ThreadState& state,
                 std::vector<suture::v1::Puncture>& punctures) {
@@ -284,15 +331,7 @@ void set_thread(suture::v1::ThreadState& wire, const scene::Scene& scene, std::s
   suture::lend(wire.course_m, std::span<const double>(course, 3 * state.course_m.size()));
   suture::lend(wire.arc_length_m, std::span<const double>(state.arc_length_m));
   suture::lend(wire.segment_tension_n, std::span<const double>(state.segment_tension_n));
-  punctures.clear();
-  for (const simulation::ThreadPuncture& from : state.punctures) {
-    suture::v1::Puncture& to = punctures.emplace_back();
-    suture::set_text(to.body, name_at(scene.tissues, from.tissue));
-    for (int i = 0; i < 3; ++i) to.position_m[i] = from.position_m[i];
-    to.arc_length_m = from.arc_length_m;
-    to.inward = from.inward;
-  }
-  suture::lend(wire.punctures, std::span<const suture::v1::Puncture>(punctures));
+  set_punctures(wire.punctures, scene, state.punctures, punctures);
 }
 
 void set_contacts(suture::v1::ContactState& wire, const scene::Scene& scene,

@@ -47,6 +47,12 @@ void set_event(suture::v1::Event& wire, const simulation::Event& event) noexcept
 [[nodiscard]] std::string_view held_name(const scene::Scene& scene,
                                          const simulation::HeldThing& held) noexcept;
 
+/// Fills `wire` but for its epoch, number and stamp. Its sequences lend from `course_m` and
+/// `punctures`, which are overwritten and must outlive the write.
+void set_needle(suture::v1::NeedleState& wire, const scene::Scene& scene, std::size_t needle,
+                const simulation::NeedleState& state, std::vector<double>& course_m,
+                std::vector<suture::v1::Puncture>& punctures);
+
 /// Fills `wire` but for its epoch, number and stamp. Its sequences lend from `state` and
 /// `punctures`, which is overwritten; both must outlive the write.
 void set_thread(suture::v1::ThreadState& wire, const scene::Scene& scene, std::size_t thread,

@@ -15,6 +15,19 @@ void copy_first(std::span<const T> from, std::size_t most, std::vector<T>& to) {
 
 }  // namespace
 
+void reserve_needle(simulation::NeedleState& to) { to.punctures.reserve(kShownPuncturesMax); }
+
+void copy_needle(const simulation::NeedleState& from, simulation::NeedleState& to) {
+  to.position_m = from.position_m;
+  to.orientation = from.orientation;
+  to.holder = from.holder;
+  to.active_cells = from.active_cells;
+  to.embedded_length_m = from.embedded_length_m;
+  to.tip_force_n = from.tip_force_n;
+  to.tip_inside = from.tip_inside;
+  copy_first(std::span(from.punctures), kShownPuncturesMax, to.punctures);
+}
+
 void reserve_thread(simulation::ThreadState& to) {
   to.course_m.reserve(kShownCourseMax);
   to.arc_length_m.reserve(kShownCourseMax);

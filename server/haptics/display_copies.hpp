@@ -14,6 +14,13 @@ inline constexpr std::size_t kShownCourseMax = 2048;  ///< points of one thread
 inline constexpr std::size_t kShownPuncturesMax = 256;
 inline constexpr std::size_t kShownContactsMax = 512;
 
+/// Makes room for the most punctures that `copy_needle` copies.
+void reserve_needle(simulation::NeedleState& to);
+
+/// Copies a needle; punctures beyond `kShownPuncturesMax` are lost, the tail's first. Allocates:
+/// never, into a needle that was reserved.
+void copy_needle(const simulation::NeedleState& from, simulation::NeedleState& to);
+
 /// Makes room for the longest thread that `copy_thread` copies.
 void reserve_thread(simulation::ThreadState& to);
 

@@ -43,6 +43,7 @@ SimulationLoop::SimulationLoop(simulation::Simulation simulation,
       frame.principal_pa.emplace_back(3 * body.surface_vertices.size());
     }
     frame.needles.resize(simulation_.needles().size());
+    for (simulation::NeedleState& needle : frame.needles) reserve_needle(needle);
     frame.threads.resize(simulation_.threads().size());
     for (simulation::ThreadState& thread : frame.threads) reserve_thread(thread);
     frame.contacts.reserve(kShownContactsMax);
@@ -315,7 +316,8 @@ void SimulationLoop::publish_frame(std::int64_t now_ns) {
       frame.von_mises_pa[b][v] = static_cast<float>(fem::von_mises_pa(stress_pa));
     }
   }
-  std::copy(simulation_.needles().begin(), simulation_.needles().end(), frame.needles.begin());
+  for (std::size_t n = 0; n < frame.needles.size(); ++n)
+    copy_needle(simulation_.needles()[n], frame.needles[n]);
   for (std::size_t t = 0; t < frame.threads.size(); ++t)
     copy_thread(simulation_.threads()[t], frame.threads[t]);
   copy_contacts(simulation_.contacts(), frame.contacts);

@@ -33,8 +33,8 @@ struct DisplayFrame {
   std::vector<std::vector<float>> position_m;    ///< per body, 3 per surface vertex, world
   std::vector<std::vector<float>> von_mises_pa;  ///< per body, 1 per surface vertex
   std::vector<std::vector<float>> principal_pa;  ///< per body, 3 per surface vertex, largest first
-  std::vector<simulation::NeedleState> needles;
-  std::vector<simulation::ThreadState> threads;    ///< as far as `display_copies.hpp` lets them
+  std::vector<simulation::NeedleState> needles;  ///< as far as `display_copies.hpp` lets them
+  std::vector<simulation::ThreadState> threads;  ///< likewise
   std::vector<simulation::ContactPoint> contacts;  ///< likewise
   std::vector<simulation::HeldThing> held;         ///< per tool
   std::vector<simulation::ThreadQuality> quality;  ///< per thread; empty without a meter

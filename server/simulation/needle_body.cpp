@@ -376,4 +376,20 @@ void NeedleBody::track(const TissueState& tissue, double time_s, std::vector<Eve
   }
 }
 
+void NeedleBody::report_punctures(const TissueState& tissue,
+                                  std::vector<NeedlePuncture>& punctures) const {
+  const double length = curve_.length_m();
+  punctures.clear();
+  const auto add = [&](const needle::BoundaryPoint& hole, double s, bool inward) {
+    if (hole.triangle < 0 || s < 0.0) return;  // behind the tail it is the thread's hole
+    punctures.push_back({tissue.tissue_of_triangle(hole.triangle),
+                         needle::position(tissue.view(), hole), length - s, inward});
+  };
+  const auto cells = path_.cells();
+  for (auto cell = cells.rbegin(); cell != cells.rend(); ++cell) {
+    add(cell->left, cell->s_front, true);
+    add(cell->entered, cell->s_back, false);
+  }
+}
+
 }  // namespace sutured::simulation

@@ -77,6 +77,10 @@ class NeedleBody {
   /// Lets the path follow the last committed motion in the refreshed tissue.
   void track(const TissueState& tissue, double time_s, std::vector<Event>& events);
 
+  /// Lists where it passes surfaces, from tip to tail. Allocates: when there are more than
+  /// `punctures` has room for.
+  void report_punctures(const TissueState& tissue, std::vector<NeedlePuncture>& punctures) const;
+
   [[nodiscard]] const constraints::NeedleMobility& mobility() const { return mobility_; }
   [[nodiscard]] const scene::Pose& pose() const { return pose_; }
   [[nodiscard]] const needle::Curve& curve() const { return curve_; }

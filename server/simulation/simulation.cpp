@@ -37,6 +37,8 @@ constexpr double kPrepareDistance_m = 2e-3;
 constexpr std::size_t kPreparedMax = 1536;
 // Rows for which there is memory before the first step: two vessels that meet all around.
 constexpr int kRowsReserved = 320;
+// Holes that one needle goes through at a time: as many without allocating.
+constexpr std::size_t kPuncturesReserved = 64;
 constexpr int kRevisionsMax = 4;
 constexpr int kIdleStepsMax = 512;
 constexpr double kResidualMax = 1e-8;
@@ -92,6 +94,8 @@ struct Simulation::State {
     moving.resize(tools.size());
     responses.resize(tools.size());
     needle_states.resize(needles.size());
+    for (simulation::NeedleState& needle : needle_states)
+      needle.punctures.reserve(kPuncturesReserved);
     thread_states.resize(scene.threads.size());
     mobilities.resize(needles.size());
     for (constraints::ConstraintRows* each : {&rows, &rows_before})
@@ -466,6 +470,13 @@ struct Simulation::State {
       out.tip_inside = needles[n].path().tip_inside();
       report.contacts += needles[n].tip().pressing;
     }
+    report_punctures();
+  }
+
+  /// Call where paths or tissue have changed since the needles were reported, too.
+  void report_punctures() {
+    for (std::size_t n = 0; n < needles.size(); ++n)
+      needles[n].report_punctures(tissue, needle_states[n].punctures);
   }
 
   void serialize(Archive& archive) {
@@ -490,7 +501,9 @@ struct Simulation::State {
         untimed.backward_ns = untimed.model_ns = 0;
     archive(contact_points_, touching_, events_, pending_events_, untimed, time, base, period,
             steps, settled_, inverted_told_, rows_, lambda_, warm_);
-    if (archive.reads()) report_ = untimed;
+    if (!archive.reads()) return;
+    report_ = untimed;
+    report_punctures();
   }
 
   void reset() {
@@ -521,6 +534,11 @@ struct Simulation::State {
   }
 };
 
+void NeedleState::serialize(Archive& archive) {
+  auto& [position, turn, tool, cells, embedded, tip_force, inside, shown] = *this;
+  archive(position, turn, tool, cells, embedded, tip_force, inside);
+}
+
 Simulation::Simulation(const scene::Scene& scene) : state_(std::make_unique<State>(scene)) {}
 Simulation::~Simulation() = default;
 Simulation::Simulation(Simulation&&) noexcept = default;
@@ -534,6 +552,7 @@ void Simulation::step(std::span<const ToolInput> tools, double dt_s) {
 }
 void Simulation::update_displacements() {
   state_->settle(state_->pending_events);
+  state_->report_punctures();  // they are shown on the tissue as it is now
   state_->look_for_inverted(state_->pending_events);
 }
 void Simulation::reset() { state_->reset(); }

@@ -10,6 +10,10 @@
 #include <string>
 #include <vector>
 
+namespace sutured {
+class Archive;
+}
+
 namespace sutured::simulation {
 
 using Vec3 = Eigen::Vector3d;
@@ -126,6 +130,14 @@ struct Event {
   double force_n = 0.0;  ///< at the moment of the event
 };
 
+/// Where a needle passes a tissue's surface.
+struct NeedlePuncture {
+  int tissue = -1;                 ///< index into Scene::tissues
+  Vec3 position_m = Vec3::Zero();  ///< of the hole, on the surface
+  double arc_length_m = 0.0;       ///< along the needle from its tip
+  bool inward = false;             ///< enters the tissue, going from tip to tail
+};
+
 /// A needle as viewers see it.
 struct NeedleState {
   Vec3 position_m = Vec3::Zero();  ///< of the needle's frame
@@ -135,6 +147,12 @@ struct NeedleState {
   double embedded_length_m = 0.0;
   double tip_force_n = 0.0;
   bool tip_inside = false;
+  /// From tip to tail, where the tissue was brought to last; the way of the thread behind the tail
+  /// has none.
+  std::vector<NeedlePuncture> punctures;
+
+  /// Leaves the punctures out: they follow from the needle's path and the tissue.
+  void serialize(Archive& archive);
 };
 
 /// What rules an end of a thread.

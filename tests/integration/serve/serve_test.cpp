@@ -779,12 +779,19 @@ class ServedBite : public Serve {
     suture::ViewerCallbacks callbacks;
     callbacks.on_needle = [this](const suture::NeedleView& view) {
       const std::lock_guard lock(mutex_);
-      needle_ = {view.epoch, std::string(view.holder), view.tip_inside, view.embedded_length_m,
-                 view.position_m};
+      needle_ = {view.epoch,      std::string(view.holder),
+                 view.tip_inside, view.embedded_length_m,
+                 view.position_m, view.punctures};
     };
     viewer_ = std::make_unique<suture::Viewer>(session_options(), callbacks);
     ASSERT_TRUE(saw_event(suture_v1_EVENT_PUNCTURE)) << server_->output();
     ASSERT_TRUE(eventually([this] { return needle().embedded_m > 1e-3; }));
+    const Needle inside = needle();
+    ASSERT_GE(inside.punctures.size(), 1U) << "of where it went in";
+    const suture::Puncture& entry = inside.punctures.back();
+    EXPECT_EQ(entry.body, "proximal");
+    EXPECT_FALSE(entry.inward) << "from tip to tail it leads out";
+    EXPECT_NEAR(entry.arc_length_m, inside.embedded_m, 1e-3);
   }
   void TearDown() override {
     if (viewer_) viewer_->close();
@@ -797,6 +804,7 @@ class ServedBite : public Serve {
     bool tip_inside = false;
     double embedded_m = 0.0;
     std::array<double, 3> position_m{};
+    std::vector<suture::Puncture> punctures;
   };
   Needle needle() {
     const std::lock_guard lock(mutex_);
@@ -821,6 +829,7 @@ class ServedBite : public Serve {
   static void expect_same(const Needle& now, const Needle& then) {
     EXPECT_EQ(now.holder, then.holder);
     EXPECT_EQ(now.tip_inside, then.tip_inside);
+    EXPECT_EQ(now.punctures.size(), then.punctures.size());
     // The hand stands still: what is left is how far friction still lets the needle creep.
     EXPECT_NEAR(now.embedded_m, then.embedded_m, 50e-6);
     for (std::size_t i = 0; i < 3; ++i) EXPECT_NEAR(now.position_m[i], then.position_m[i], 50e-6);
@@ -865,8 +874,9 @@ TEST_F(ServedBite, GoesOnAfterAKillWithTheNeedleInTheWall) {
   suture::ViewerCallbacks callbacks;
   callbacks.on_needle = [this](const suture::NeedleView& view) {
     const std::lock_guard lock(mutex_);
-    needle_ = {view.epoch, std::string(view.holder), view.tip_inside, view.embedded_length_m,
-               view.position_m};
+    needle_ = {view.epoch,      std::string(view.holder),
+               view.tip_inside, view.embedded_length_m,
+               view.position_m, view.punctures};
   };
   viewer_ = std::make_unique<suture::Viewer>(session_options(), callbacks);
   ASSERT_TRUE(eventually([&] { return needle().epoch > then.epoch; }));

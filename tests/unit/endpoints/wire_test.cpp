@@ -165,6 +165,51 @@ TEST(HeldName, ResolvesEveryKindInItsOwnList) {
   EXPECT_EQ(held_name(scene, {HeldKind::kThread, 7}), "");  // no such: no name, and no crash
 }
 
+TEST(SetNeedle, SaysWhereItIsAndWhereItPassesSurfaces) {
+  scene::Scene scene = named_scene();
+  scene.needles[0].shape = scene::NeedleShape::kStraight;
+  scene.needles[0].length_m = 0.025;
+  scene.needles[0].diameter_m = 0.0004;
+  simulation::NeedleState state;
+  state.position_m = {1, 2, 3};
+  state.holder = 1;
+  state.active_cells = 7;
+  state.embedded_length_m = 0.01;
+  state.tip_force_n = 0.05;
+  state.tip_inside = true;
+  state.punctures = {{1, {7, 8, 9}, 0.002, true}, {0, {4, 5, 6}, 0.012, false}};
+  std::vector<double> course_m(5);  // of the needle before, like the next
+  std::vector<suture::v1::Puncture> punctures(5);
+  suture::v1::NeedleState wire{};
+  set_needle(wire, scene, 0, state, course_m, punctures);
+  EXPECT_EQ(suture::text_of(wire.needle), "needle");
+  EXPECT_EQ(wire.shape, suture_v1_NEEDLE_STRAIGHT);
+  EXPECT_EQ(wire.length_m, 0.025);
+  EXPECT_EQ(wire.diameter_m, 0.0004);
+  EXPECT_EQ(wire.position_m[1], 2.0);
+  EXPECT_EQ(wire.orientation_xyzw[3], 1.0);
+  EXPECT_EQ(suture::text_of(wire.holder), "assistant");
+  EXPECT_TRUE(wire.tip_inside);
+  EXPECT_EQ(wire.tip_force_n, 0.05);
+  EXPECT_EQ(wire.embedded_length_m, 0.01);
+  EXPECT_EQ(wire.active_cells, 7U);
+  ASSERT_EQ(wire.course_m._length, 99U);
+  EXPECT_DOUBLE_EQ(wire.course_m._buffer[0], 1.025);  // the tip first
+  EXPECT_DOUBLE_EQ(wire.course_m._buffer[96], 1.0);
+  const auto got = suture::span_of(wire.punctures);
+  ASSERT_EQ(got.size(), 2U);
+  EXPECT_EQ(suture::text_of(got[0].body), "distal");
+  EXPECT_EQ(got[0].position_m[2], 9.0);
+  EXPECT_EQ(got[0].arc_length_m, 0.002);
+  EXPECT_TRUE(got[0].inward);
+  EXPECT_EQ(suture::text_of(got[1].body), "proximal");
+  EXPECT_FALSE(got[1].inward);
+  state.holder = -1;
+  state.punctures.clear();
+  set_needle(wire, scene, 0, state, course_m, punctures);
+  EXPECT_EQ(wire.punctures._length, 0U);
+}
+
 TEST(SetThread, NamesTheHolderOfEachEndByItsKind) {
   using simulation::ThreadEnd;
   const scene::Scene scene = named_scene();

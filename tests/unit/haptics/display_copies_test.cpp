@@ -9,6 +9,7 @@ namespace sutured::haptics {
 namespace {
 
 using simulation::ContactPoint;
+using simulation::NeedleState;
 using simulation::ThreadState;
 
 ThreadState long_thread(std::size_t points, std::size_t punctures) {
@@ -61,6 +62,44 @@ TEST(CopyThread, CutsWhatHasNoEndAndAllocatesNothing) {
   EXPECT_EQ(contacts.size(), kShownContactsMax);
   copy_contacts({}, contacts);
   EXPECT_TRUE(contacts.empty());
+}
+
+TEST(CopyNeedle, KeepsEveryFigure) {
+  NeedleState from;
+  from.position_m = {1, 2, 3};
+  from.orientation = Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0);
+  from.holder = 1;
+  from.active_cells = 4;
+  from.embedded_length_m = 0.01;
+  from.tip_force_n = 0.2;
+  from.tip_inside = true;
+  from.punctures = {{1, {7, 8, 9}, 0.1, true}};
+  NeedleState to;
+  to.punctures.resize(3);  // of the frame before
+  copy_needle(from, to);
+  EXPECT_EQ(to.position_m, from.position_m);
+  EXPECT_EQ(to.orientation.coeffs(), from.orientation.coeffs());
+  EXPECT_EQ(to.holder, 1);
+  EXPECT_EQ(to.active_cells, 4);
+  EXPECT_EQ(to.embedded_length_m, 0.01);
+  EXPECT_EQ(to.tip_force_n, 0.2);
+  EXPECT_TRUE(to.tip_inside);
+  ASSERT_EQ(to.punctures.size(), 1U);
+  EXPECT_EQ(to.punctures[0].tissue, 1);
+  EXPECT_EQ(to.punctures[0].position_m, simulation::Vec3(7, 8, 9));
+  EXPECT_EQ(to.punctures[0].arc_length_m, 0.1);
+  EXPECT_TRUE(to.punctures[0].inward);
+}
+
+TEST(CopyNeedle, CutsWhatHasNoEndAndAllocatesNothing) {
+  if (!testing::HeapGuard::active()) GTEST_SKIP() << "sanitizers bring their own malloc";
+  NeedleState endless, to;
+  endless.punctures.resize(10 * kShownPuncturesMax);
+  reserve_needle(to);
+  const testing::HeapGuard heap;
+  copy_needle(endless, to);
+  EXPECT_EQ(heap.allocations(), 0U);
+  EXPECT_EQ(to.punctures.size(), kShownPuncturesMax);
 }
 
 }  // namespace

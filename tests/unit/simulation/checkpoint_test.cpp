@@ -115,6 +115,14 @@ TEST(Checkpoint, WithoutCachesForcesAreTheSameUpToRounding) {
   Simulation other(hands.scene);
   restore(other, light);
   EXPECT_EQ(saved(other, Caches::kLeftOut), light);
+  // What is shown and not archived is there again.
+  ASSERT_EQ(other.needles()[0].punctures.size(), 1U);
+  hands.sim.update_displacements();
+  other.update_displacements();
+  EXPECT_LT(
+      (other.needles()[0].punctures[0].position_m - hands.sim.needles()[0].punctures[0].position_m)
+          .norm(),
+      1e-9);
   for (int i = 0; i < 20; ++i) {
     hands.at(0).position_m.x() += 2e-5;
     hands.step();

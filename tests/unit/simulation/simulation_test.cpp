@@ -171,6 +171,63 @@ TEST_F(BlockSimulation, ANeedlePulledBackLeavesTheTissueAtRest) {
   EXPECT_LT(wrench(kDriver).norm(), 1e-9);
 }
 
+TEST_F(BlockSimulation, APunctureIsWhereTheNeedlePassesTheDeformedSurface) {
+  // Fixed at two sides instead of below, so that the needle gets through.
+  scene.tissues[0].prescribed[0].vertices.clear();
+  for (std::size_t v = 0; v < scene.tissues[0].mesh.vertices_m.size(); ++v)
+    if (std::abs(scene.tissues[0].mesh.vertices_m[v][0]) > 0.01 - 1e-9)
+      scene.tissues[0].prescribed[0].vertices.push_back(static_cast<std::int32_t>(v));
+  sim = Simulation(scene);
+  const auto punctures = [this]() -> const std::vector<NeedlePuncture>& {
+    sim.update_displacements();
+    return sim.needles()[0].punctures;
+  };
+  /// How far a point is from the surface that is shown.
+  const auto off_surface_m = [this](const Vec3& p) {
+    double least = std::numeric_limits<double>::infinity();
+    const auto x = sim.positions_m();
+    for (const auto& t : sim.bodies()[0].surface)
+      least = std::min(least, std::sqrt(geometry::closest_point_on_triangle(
+                                            p, x[at(t[0])], x[at(t[1])], x[at(t[2])])
+                                            .squared_distance_m2));
+    return least;
+  };
+  EXPECT_TRUE(punctures().empty());
+  grasp(kDriver, kTail);
+  while (count(EventKind::kContact) == 0)
+    move(kDriver, inputs[kDriver].position_m - Vec3(0, 0, 4e-5));
+  EXPECT_TRUE(punctures().empty()) << "the tip stands on the wall";
+
+  move(kDriver, kTail - Vec3(0, 0, 0.006));
+  move(kDriver, kTail - Vec3(-0.0005, 0, 0.006));
+  ASSERT_EQ(count(EventKind::kPuncture), 1);
+  ASSERT_EQ(punctures().size(), 1U);
+  const NeedlePuncture entry = punctures()[0];
+  EXPECT_EQ(entry.tissue, 0);
+  EXPECT_FALSE(entry.inward);  // from tip to tail it leads out
+  EXPECT_LT(off_surface_m(entry.position_m), 1e-6);
+  EXPECT_GT(entry.position_m[0] - 0.0011, 5e-5) << "the needle has taken its hole along";
+  EXPECT_NEAR(entry.arc_length_m, sim.needles()[0].embedded_length_m, 1e-6);
+
+  move(kDriver, kTail - Vec3(0, 0, 0.014));
+  ASSERT_EQ(count(EventKind::kExit), 1);
+  ASSERT_EQ(punctures().size(), 2U);
+  for (const NeedlePuncture& each : punctures()) EXPECT_LT(off_surface_m(each.position_m), 1e-6);
+  const NeedlePuncture &out = punctures()[0], &in = punctures()[1];  // from tip to tail
+  EXPECT_TRUE(out.inward);
+  EXPECT_FALSE(in.inward);
+  EXPECT_NEAR(out.position_m[2], -0.01, 1e-3);
+  EXPECT_NEAR(in.position_m[2], 0.0, 1e-3);
+  EXPECT_GT(out.arc_length_m, 1e-3);
+  EXPECT_NEAR(in.arc_length_m - out.arc_length_m, sim.needles()[0].embedded_length_m, 1e-6);
+
+  move(kDriver, kTail);
+  EXPECT_TRUE(punctures().empty());
+  move(kDriver, kTail - Vec3(0, 0, 0.006));
+  sim.reset();
+  EXPECT_TRUE(punctures().empty());
+}
+
 TEST_F(BlockSimulation, WhatTheHandFeelsIsWhatTheTissueCarries) {
   grasp(kDriver, kTail);
   move(kDriver, kTail - Vec3(0, 0, 0.006));
