@@ -9,6 +9,7 @@
 #include <cstring>
 #include <filesystem>
 #include <map>
+#include <utility>
 
 #include "mcap/reader.hpp"
 #include "protocol/endpoint.hpp"
@@ -32,7 +33,7 @@ struct Recorded {
   std::map<std::string, std::vector<std::string>> samples;  // by topic
   std::vector<mcap::Metadata> metadata;
   std::string damage;
-  std::uint64_t last_ns = 0;
+  std::uint64_t first_ns = 0, last_ns = 0;
 
   [[nodiscard]] int sessions() const {
     return static_cast<int>(
@@ -48,6 +49,7 @@ Recorded read_recording(const std::string& path) {
   while (reader.next(message)) {
     recorded.samples[reader.channel(message).topic].emplace_back(
         reinterpret_cast<const char*>(message.data.data()), message.data.size());
+    if (recorded.first_ns == 0) recorded.first_ns = message.log_time_ns;
     recorded.last_ns = std::max(recorded.last_ns, message.log_time_ns);
   }
   recorded.metadata = reader.metadata();
@@ -254,6 +256,25 @@ TEST_F(Record, ReplayedItIsTheSameRecording) {
       ASSERT_NE(place, samples.end()) << topic;
       ++place;
     }
+  }
+}
+
+TEST_F(Record, ReplayTakesTheTimeThatTheSessionTook) {
+  record_one_play(file());
+  const std::string other = own_session().session + "-again";
+  const auto span_ns = [](const std::string& path) {
+    const Recorded recorded = read_recording(path);
+    return static_cast<double>(recorded.last_ns - recorded.first_ns);
+  };
+  // A busy machine makes it longer, never shorter.
+  for (const auto& [rate, share] : {std::pair("1", 0.9), std::pair("0.5", 1.8)}) {
+    Process recorder(command({"record", file("again.mcap"), "--force"}, other));
+    recorder.read_until("no server answers yet");
+    Process replay(command({"replay", file(), "--rate", rate}, other));
+    EXPECT_EQ(replay.wait(), 0) << replay.output();
+    recorder.send(SIGINT);
+    ASSERT_EQ(recorder.wait(), 0) << recorder.output();
+    EXPECT_GE(span_ns(file("again.mcap")), share * span_ns(file())) << rate;
   }
 }
 
