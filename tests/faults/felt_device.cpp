@@ -57,8 +57,10 @@ void FeltDevice::run() {
     haptics::sleep_until(due_ns);
     {
       const std::lock_guard lock(mutex_);
+      const std::int64_t asked_ns = suture::monotonic_ns();
       const suture::Force force = device_.read();
-      felt_.push_back({suture::monotonic_ns(), force.force_n, force.state, force.faults});
+      felt_.push_back({suture::monotonic_ns(), force.force_n, force.state, force.faults, asked_ns,
+                       force.hand_sequence, force.sequence});
       if (spoil_) {
         for (const suture::Hand& hand : spoil_(hand_)) device_.write(hand);
       } else {

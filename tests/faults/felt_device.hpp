@@ -19,6 +19,10 @@ struct Felt {
   suture::Vector3 force_n{};
   suture::ForceState state = suture::ForceState::kIdle;
   std::uint32_t faults = 0;
+  std::int64_t asked_ns = 0;        ///< monotonic: the force is of a time from here to `time_ns`
+  std::uint64_t hand_sequence = 0;  ///< the hand that the server's force answers, and which
+  std::uint64_t sequence = 0;       ///<   of its forces that is
+  std::int64_t stamp_ns = 0;        ///< the server's, of that force; 0: not known
 
   [[nodiscard]] double magnitude_n() const;
 };

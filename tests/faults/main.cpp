@@ -16,6 +16,7 @@
 #include <cstdio>
 #include <fstream>
 #include <limits>
+#include <map>
 #include <memory>
 #include <optional>
 #include <thread>
@@ -108,8 +109,72 @@ struct Result {
       recovered_ms;                              ///< after the last good sample; after its end
   double largest_step_n = 0.0;                   ///< between two samples of the hand
   double largest_slew_n_per_s = 0.0;             ///< over any 4 ms
+  double largest_n = 0.0;                        ///< magnitude
+  double over_slew = 0.0;                        ///< largest change over what its time allows
   double whole_n = 0.0;                          ///< before the fault
   std::vector<std::pair<double, double>> curve;  ///< ms, N
+};
+
+/// Returns the time that the slew limit gives for the change from `before` to `now`, ns: that
+/// between the two readings, or between the stamps of the server's forces that they show, which
+/// may come in a bunch.
+std::int64_t time_to_change(const Felt& before, const Felt& now) {
+  // For the clocks of a stamp, which are read one after the other.
+  constexpr std::int64_t kStamps_ns = 500'000;
+  std::int64_t time_ns = now.time_ns - before.asked_ns;
+  if (before.stamp_ns != 0 && now.stamp_ns != 0)
+    time_ns = std::max(time_ns, now.stamp_ns - before.stamp_ns + kStamps_ns);
+  return time_ns;
+}
+
+/// Returns what a listener at the server's side felt by `force` just now.
+Felt felt_of(const suture::v1::ToolForce& force) {
+  const std::int64_t now_ns = suture::monotonic_ns();
+  Felt felt{now_ns,        {}, {}, force.faults, now_ns, force.pose_sequence, force.sequence_number,
+            force.stamp_ns};
+  std::copy(std::begin(force.force_n), std::end(force.force_n), felt.force_n.begin());
+  if (force.state == suture_v1_TOOL_RENDERING) felt.state = suture::ForceState::kRendering;
+  return felt;
+}
+
+/// Notes when the server made each of its forces, by what the SDK tells of one.
+class Stamps {
+ public:
+  explicit Stamps(const suture::Participant& participant) {
+    suture::EndpointCallbacks callbacks;
+    callbacks.data_available = [this] {
+      if (ready_.load(std::memory_order_acquire)) take();
+    };
+    reader_ = suture::Reader<suture::v1::ToolForce>(participant, std::move(callbacks));
+    ready_.store(true, std::memory_order_release);
+  }
+  void forget() {
+    const std::lock_guard lock(mutex_);
+    stamps_.clear();
+  }
+  void tell(std::vector<Felt>& felt) {
+    const std::lock_guard lock(mutex_);
+    for (Felt& one : felt) {
+      const auto found = stamps_.find({one.hand_sequence, one.sequence});
+      if (found != stamps_.end()) one.stamp_ns = found->second;
+    }
+  }
+
+ private:
+  void take() {
+    suture::v1::ToolForce force;
+    suture::SampleInfo info;
+    while (reader_.take(force, info)) {
+      if (!info.valid) continue;
+      const std::lock_guard lock(mutex_);
+      stamps_[{force.pose_sequence, force.sequence_number}] = force.stamp_ns;
+    }
+  }
+
+  std::atomic<bool> ready_{false};
+  std::mutex mutex_;
+  std::map<std::pair<std::uint64_t, std::uint64_t>, std::int64_t> stamps_;
+  suture::Reader<suture::v1::ToolForce> reader_;
 };
 
 bool whole(const Felt& felt) {
@@ -136,10 +201,20 @@ Result analyse(std::string fault, Render render, const std::vector<Felt>& felt,
       for (int k = 0; k < 3; ++k) squared += std::pow(felt[i].force_n[k] - felt[j].force_n[k], 2);
       return std::sqrt(squared);
     };
+    const auto over_slew_since = [&](std::size_t j) {
+      return change_since(j) * 1e9 /
+             (kBlock.max_force_slew_n_per_s *
+              static_cast<double>(std::max<std::int64_t>(time_to_change(felt[j], felt[i]), 1)));
+    };
+    // Not a number: more than any limit.
+    result.largest_n = std::max(result.largest_n, std::isfinite(now_n) ? now_n : HUGE_VAL);
+    if (i > 0) result.over_slew = std::max(result.over_slew, over_slew_since(i - 1));
     if (i > 0) result.largest_step_n = std::max(result.largest_step_n, change_since(i - 1));
     while (felt[i].time_ns - felt[window].time_ns > 4 * kMs) {
       ++window;
     }
+    // Over a few forces the time is known better than over two.
+    if (window > 0) result.over_slew = std::max(result.over_slew, over_slew_since(window - 1));
     if (window > 0)
       result.largest_slew_n_per_s =
           std::max(result.largest_slew_n_per_s,
@@ -165,9 +240,11 @@ Result analyse(std::string fault, Render render, const std::vector<Felt>& felt,
 class Bench {
  public:
   /// `name` keeps its session apart from those of others.
-  explicit Bench(const std::string& name) : scene_(kBlock.write(folder_)) {
-    session_.session += name;
-  }
+  explicit Bench(const std::string& name)
+      : session_(session_of(name)),
+        scene_(kBlock.write(folder_)),
+        listener_(session_, suture::Channel::kControl),
+        stamps_(listener_) {}
 
   void start_server(bool slow_steps = false) {
     const std::string domain = std::to_string(session_.domain);
@@ -211,6 +288,7 @@ class Bench {
                  const std::function<std::int64_t()>& inject, const std::function<void()>& end) {
     await_whole();
     device_->forget();
+    stamps_.forget();
     {
       const std::lock_guard lock(mutex_);
       events_.clear();
@@ -221,7 +299,8 @@ class Bench {
     const std::int64_t end_ns = suture::monotonic_ns();
     end();
     await_whole();
-    const std::vector<Felt> felt = device_->felt();
+    std::vector<Felt> felt = device_->felt();
+    if (render == Render::kServer) stamps_.tell(felt);
     std::optional<std::int64_t> seen_ns;
     const auto see = [&](std::int64_t time_ns) {
       if (time_ns > good_ns && (!seen_ns || time_ns < *seen_ns)) seen_ns = time_ns;
@@ -239,9 +318,17 @@ class Bench {
     std::int64_t time_ns;
     std::uint32_t faults;
   };
-  suture::ParticipantOptions session_ = testing::own_session();
+  static suture::ParticipantOptions session_of(const std::string& name) {
+    suture::ParticipantOptions session = testing::own_session();
+    session.session += name;
+    return session;
+  }
+
+  suture::ParticipantOptions session_;
   testing::TemporaryFolder folder_;
   std::string scene_;
+  suture::Participant listener_;
+  Stamps stamps_;
   std::optional<Process> server_;
   std::mutex mutex_;
   std::vector<Told> events_;
@@ -300,9 +387,7 @@ Result measure_killed_device(Bench& bench, Render render) {
     suture::SampleInfo info;
     while (reader.take(force, info)) {
       if (!info.valid) continue;
-      Felt one{suture::monotonic_ns(), {}, {}, force.faults};
-      std::copy(std::begin(force.force_n), std::end(force.force_n), one.force_n.begin());
-      if (force.state == suture_v1_TOOL_RENDERING) one.state = suture::ForceState::kRendering;
+      const Felt one = felt_of(force);
       const std::lock_guard lock(mutex);
       felt.push_back(one);
       if ((force.flags & suture_v1_FORCE_FROM_SUPERVISOR) == 0) good_ns = one.time_ns;
@@ -372,10 +457,7 @@ Result measure_order(Bench& bench) {
     while (std::chrono::steady_clock::now() < until) {
       while (reader.take(force, info)) {
         if (!info.valid) continue;
-        Felt one{suture::monotonic_ns(), {}, {}, force.faults};
-        std::copy(std::begin(force.force_n), std::end(force.force_n), one.force_n.begin());
-        if (force.state == suture_v1_TOOL_RENDERING) one.state = suture::ForceState::kRendering;
-        felt.push_back(one);
+        felt.push_back(felt_of(force));
       }
       std::this_thread::sleep_for(std::chrono::microseconds(200));
     }
@@ -551,6 +633,16 @@ void write_curves(const std::string& path, const std::vector<Result>& results) {
 
 /// A promise of docs/results/faults.md that was not kept; "" for none.
 std::string broken(const Result& result) {
+  constexpr double kRounding = 1.0 + 1e-6;
+  const auto told = [](const char* format, double value) {
+    char text[80];
+    std::snprintf(text, sizeof text, format, value);
+    return std::string(text);
+  };
+  if (!(result.largest_n <= kBlock.max_force_n * kRounding))
+    return told("a force of %.4f N is beyond the limit", result.largest_n);
+  if (!(result.over_slew <= kRounding))
+    return told("the force changes %.2f times as fast as the slew limit allows", result.over_slew);
   if (result.zero_ms && *result.zero_ms > 50.0) return "zero too late";
   if (result.zero_ms && !result.recovered_ms) return "did not come back";
   if (!result.seen_ms) return "not seen";
