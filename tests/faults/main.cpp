@@ -223,8 +223,9 @@ Result analyse(std::string fault, Render render, const std::vector<Felt>& felt,
     if (felt[i].time_ns <= good_ns) {
       result.whole_n = now_n;
     } else if (felt[i].time_ns < end_ns) {
-      if (now_n > 0.0) felt_ns = felt[i].time_ns;
-      ended = now_n == 0.0;
+      // The first zero: a hand that stays where it jumped to is followed again from there.
+      ended = ended || now_n == 0.0;
+      if (!ended) felt_ns = felt[i].time_ns;
     } else if (!result.recovered_ms && whole(felt[i]) && now_n > 0.95 * result.whole_n) {
       result.recovered_ms = ms(felt[i].time_ns, end_ns);
     }
@@ -427,7 +428,8 @@ Result measure_killed_device(Bench& bench, Render render) {
   const std::lock_guard lock(mutex);
   std::optional<std::int64_t> seen_ns;
   for (const Felt& one : felt)
-    if (!seen_ns && (one.faults & suture_v1_FAULT_POSE_STALE) != 0) seen_ns = one.time_ns;
+    if (!seen_ns && one.time_ns > last_good_ns && (one.faults & suture_v1_FAULT_POSE_STALE) != 0)
+      seen_ns = one.time_ns;
   return analyse("device killed (SIGKILL)", render, felt, last_good_ns, end_ns, seen_ns);
 }
 
