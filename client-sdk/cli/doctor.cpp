@@ -235,6 +235,11 @@ void measure_wakeups(double seconds, LatencyHistogram& late) {
   loop.join();
 }
 
+/// What helps threads that wake late: permission, where it is missing, before anything else.
+const char* mend_of_late_threads(const char* not_permitted, const char* permitted) {
+  return may_run_realtime(kReceivePriority) ? permitted : not_permitted;
+}
+
 void check_wakeups(Report& report, double seconds) {
   LatencyHistogram late;
   measure_wakeups(seconds, late);
@@ -249,8 +254,14 @@ void check_wakeups(Report& report, double seconds) {
       format("1 kHz wake-up late by p50 %.0f, p99 %.0f, p99.9 %.0f, max %.0f µs (%llu ticks)",
              us(0.5), p99, p999, 1e-3 * static_cast<double>(late.max_ns()),
              static_cast<unsigned long long>(late.count())),
-      grade == Grade::kBad ? "the machine is too busy for 1 kHz: end other work, permit SCHED_FIFO"
-                           : "permit SCHED_FIFO, isolate a processor (isolcpus=), use PREEMPT_RT");
+      grade == Grade::kBad
+          ? mend_of_late_threads(
+                "the machine is too busy for 1 kHz: end other work, permit SCHED_FIFO",
+                "the machine is too busy for 1 kHz: end other work, isolate a processor "
+                "(isolcpus=)")
+          : mend_of_late_threads(
+                "permit SCHED_FIFO, isolate a processor (isolcpus=), use PREEMPT_RT",
+                "isolate a processor (isolcpus=), end other work, use PREEMPT_RT"));
 }
 
 void check_network(Report& report, EchoPeer& peer, double seconds) {
@@ -279,7 +290,9 @@ void check_network(Report& report, EchoPeer& peer, double seconds) {
                     static_cast<unsigned long long>(rounds)),
              grade == Grade::kBad
                  ? "forces would arrive later than the next pose: end other work on this machine"
-                 : "permit SCHED_FIFO, leave a processor free");
+                 : mend_of_late_threads("permit SCHED_FIFO, leave a processor free",
+                                        "leave a processor free: end other work, or isolate one "
+                                        "(isolcpus=)"));
 }
 
 /// Keys that end during a course are worse than none: said a month before.

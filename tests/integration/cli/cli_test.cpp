@@ -25,6 +25,7 @@ using sutured::testing::Process;
 using sutured::testing::SpringServer;
 using ::testing::HasSubstr;
 using ::testing::MatchesRegex;
+using ::testing::Not;
 
 class Cli : public ::testing::Test {
  protected:
@@ -499,6 +500,10 @@ TEST_F(Cli, DoctorGradesEveryLineAndMeasuresTheRoundTrip) {
        {"kernel", "processors", "free of other work", "SCHED_FIFO", "nice -10", "locked",
         "1 kHz wake-up", "interface", "receive buffers", "round trip over DDS"}) {
     EXPECT_THAT(doctor.output(), HasSubstr(line));
+  }
+  // What is permitted is not asked for.
+  if (doctor.output().find("SCHED_FIFO permitted") != std::string::npos) {
+    EXPECT_THAT(doctor.output(), Not(HasSubstr("permit SCHED_FIFO")));
   }
   // What is not good comes with its mend.
   std::istringstream lines(doctor.output());
