@@ -26,7 +26,7 @@ TEST(Contract, IsWhatWasPublished) {
       {"suture::v1::ToolRendered", 2186318450677105471U},
       {"suture::v1::DeviceProfile", 3567552897517450184U},
       {"suture::v1::Event", 14728885425181857786U},
-      {"suture::v1::ServerStatus", 15399332984808961072U},
+      {"suture::v1::ServerStatus", 13148945350279346076U},
       {"suture::v1::Command", 5932826398824730769U},
       {"suture::v1::CommandReply", 9175052838327788900U},
       {"suture::v1::MeshTopology", 9657672944120058517U},
