@@ -6,6 +6,8 @@
 #include <limits>
 #include <type_traits>
 
+#include "protocol/finite.hpp"
+
 namespace suture {
 namespace {
 
@@ -17,16 +19,9 @@ Array3 cross(const Array3& a, const Array3& b) noexcept {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
 
-template <class Range>
-bool all_finite(const Range& values) noexcept {
-  return std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); });
-}
+bool finite(const Wrench& w) noexcept { return all_finite(w.force_n) && all_finite(w.torque_nm); }
 
-bool all_finite(const Wrench& w) noexcept {
-  return all_finite(w.force_n) && all_finite(w.torque_nm);
-}
-
-bool all_finite(const Pose& p) noexcept {
+bool finite(const Pose& p) noexcept {
   return all_finite(p.position_m) && all_finite(p.orientation_xyzw);
 }
 
@@ -464,11 +459,11 @@ Wrench evaluate(const HapticModel& model, const Pose& pose, std::span<const Pose
 bool is_sound(const HapticModel& m) noexcept {
   if (m.rows < 0 || m.rows > kModelRowsMax || m.other_count < 0 || m.other_count > kModelOthersMax)
     return false;
-  bool good = all_finite(m.wrench) && all_finite(m.bilateral_wrench) && all_finite(m.stiffness) &&
+  bool good = finite(m.wrench) && finite(m.bilateral_wrench) && all_finite(m.stiffness) &&
               all_finite(m.bilateral_stiffness) && all_finite(m.arm_moment_nm) &&
               all_finite(m.slide_twist) && all_finite(m.slide_gradient) &&
               std::isfinite(m.slide_stiffness) && std::isfinite(m.slide_friction_n) &&
-              std::isfinite(m.slide_drag_n_s_per_m) && all_finite(m.reference);
+              std::isfinite(m.slide_drag_n_s_per_m) && finite(m.reference);
   const int packed = m.rows * (m.rows + 1) / 2;
   for (int i = 0; i < packed; ++i) good &= std::isfinite(m.compliance_m_per_n[i]);
   for (int i = 0; i < m.rows; ++i)
@@ -477,8 +472,8 @@ bool is_sound(const HapticModel& m) noexcept {
             std::isfinite(m.bound_slope[i]) && m.bound_row[i] >= 0 && m.bound_row[i] < m.rows;
   for (int k = 0; k < m.other_count; ++k) {
     const ModelCoupling& other = m.others[k];
-    good &= all_finite(other.stiffness) && all_finite(other.slide_gradient) &&
-            all_finite(other.reference);
+    good &=
+        all_finite(other.stiffness) && all_finite(other.slide_gradient) && finite(other.reference);
     for (int i = 0; i < m.rows; ++i) good &= all_finite(other.jacobian[i]);
   }
   return good;

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "protocol/finite.hpp"
+
 namespace suture {
 namespace {
 
@@ -11,11 +13,6 @@ constexpr std::int64_t kJitter_ns = 5'000'000;
 constexpr double kMaxSpin_rad_per_s = 60.0;
 constexpr double kQuaternionTolerance = 1e-3;
 constexpr double kJawTolerance = 1e-3;
-
-template <class Range>
-bool all_finite(const Range& values) noexcept {
-  return std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); });
-}
 
 }  // namespace
 

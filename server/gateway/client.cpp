@@ -31,20 +31,18 @@ bool Client::admit() {
   const auto now = std::chrono::steady_clock::now();
   const double elapsed_s = std::chrono::duration<double>(now - refilled_).count();
   refilled_ = now;
-  faults_ = std::max(0.0, faults_ - elapsed_s * kForgottenFaultsPerSecond);
-  allowance_ = std::min(allowance_ + elapsed_s * kMessagesPerSecond, kMessagesPerSecond);
-  if (allowance_ < 1.0) {
+  messages_.refill(elapsed_s);
+  faults_.refill(elapsed_s);
+  if (!messages_.spend()) {
     close(1008, "too many messages a second");
     return false;
   }
-  allowance_ -= 1.0;
   return !closing_;
 }
 
 // A stream of poses that is wrong in one way is told so once.
 void Client::complain(const std::string& reason, std::string_view id) {
-  faults_ += 1.0;
-  if (faults_ > kFaultsMax - 1) return close(1008, "too many faulty messages; the last: " + reason);
+  if (!faults_.spend()) return close(1008, "too many faulty messages; the last: " + reason);
   if (reason == last_complaint_) return;
   last_complaint_ = reason;
   outbox_.push(status(StatusLevel::kError, reason, id));

@@ -2,6 +2,7 @@
 // One web client that speaks Foxglove's protocol.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <map>
@@ -26,6 +27,22 @@ class ChannelSource {
   virtual void unsubscribe(std::uint32_t channel) = 0;
   virtual void retained(std::uint32_t channel,
                         const std::function<void(const Delivery&)>& use) const = 0;
+};
+
+/// What may be spent: `most` at once, and `per_second` more as time goes.
+class Allowance {
+ public:
+  Allowance(double most, double per_second) : most_(most), per_second_(per_second), left_(most) {}
+  void refill(double elapsed_s) { left_ = std::min(left_ + elapsed_s * per_second_, most_); }
+  /// Spends one; false where there is none.
+  [[nodiscard]] bool spend() {
+    if (left_ < 1.0) return false;
+    left_ -= 1.0;
+    return true;
+  }
+
+ private:
+  double most_, per_second_, left_;
 };
 
 /// The protocol's state for one connection: what it listens to, what it may send, and what
@@ -76,9 +93,9 @@ class Client : public WebClient {
   std::map<std::uint32_t, std::uint32_t> subscriptions_;  // channel by subscription
   std::map<std::uint32_t, std::string> publishes_;        // topic by the client's channel
   std::optional<Close> closing_;
-  double faults_ = 0.0;  // those not forgotten
+  Allowance messages_{kMessagesPerSecond, kMessagesPerSecond};
+  Allowance faults_{kFaultsMax - 1, kForgottenFaultsPerSecond};  // the next one closes
   std::string last_complaint_;
-  double allowance_ = kMessagesPerSecond;
   std::chrono::steady_clock::time_point refilled_ = std::chrono::steady_clock::now();
 };
 

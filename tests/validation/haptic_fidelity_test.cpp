@@ -136,7 +136,6 @@ TEST(HapticFidelity, OfEachMotionIsWithinItsBudgetOrSaidToMissIt) {
     if (motion.name == "needle" || motion.name == "sideways" || motion.name == "two_hands") {
       EXPECT_LE(result.model.rms_pct, 1.0);
       EXPECT_LE(result.model.max_pct, 3.0);
-      // The needle's torque misses the budget of 2 a little: docs/results/haptic-fidelity.md.
       EXPECT_LE(result.model.torque_rms_pct, 2.0);
     }
     if (motion.name == "tip") {

@@ -28,7 +28,6 @@ constexpr int kTickPriority = 60;  // below the receive thread, which feeds it
 constexpr std::int64_t kSecondNs = 1'000'000'000;
 // Two forces within the limits differ by twice the largest at most: long enough to fade that.
 constexpr std::int64_t kHandoverNs = 60'000'000;
-constexpr std::int64_t kSlewWindowNs = 10'000'000;  // after a pause, no more than this at once
 // Longer than a tick is ever late: a device that asked for no force since has stopped, and let go.
 constexpr std::int64_t kRestNs = 500'000'000;
 constexpr std::int64_t kHandStaleNs = 15'000'000;    // where a server does not say

@@ -2,18 +2,11 @@
 #include "force_guard.hpp"
 
 #include <algorithm>
-#include <cmath>
 
+#include "protocol/finite.hpp"
 #include "protocol/types.hpp"
 
 namespace suture {
-namespace {
-
-bool finite(const Vector3& v) noexcept {
-  return std::isfinite(v[0]) && std::isfinite(v[1]) && std::isfinite(v[2]);
-}
-
-}  // namespace
 
 ForceGuard::ForceGuard(std::int64_t silent_after_ns) noexcept : silent_after_ns_(silent_after_ns) {
   gain_.update(1.0, kRiseNs);  // the server has its own ramp for a beginning
@@ -43,7 +36,7 @@ Force ForceGuard::show(const Force& last, std::int64_t arrival_ns, bool stop,
     shown.state = ForceState::kRamping;
   }
   // A server sends no such thing; what would reach a hand is looked at all the same.
-  if (!finite(shown.force_n) || !finite(shown.torque_nm)) {
+  if (!all_finite(shown.force_n) || !all_finite(shown.torque_nm)) {
     shown.force_n = shown.torque_nm = {};
     shown.state = ForceState::kFault;
     gain_.clear();

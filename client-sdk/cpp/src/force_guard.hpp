@@ -39,6 +39,9 @@ class ForceGuard {
   RampedGain gain_{kRiseNs};
 };
 
+/// After a pause of the ticks a force moves no farther at once than within so long.
+inline constexpr std::int64_t kSlewWindowNs = 10'000'000;
+
 /// Returns `force`, `elapsed_ns` after `last`, within `limits` in magnitude and slew: what stands
 /// last before the hand, whoever rendered. The server keeps to them too; what a network does to its
 /// forces (a gap, several at once), and a server that fails to, must not reach the hand.

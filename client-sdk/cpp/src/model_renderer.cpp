@@ -5,13 +5,14 @@
 #include <cmath>
 #include <cstring>
 
+#include "force_guard.hpp"
+#include "protocol/finite.hpp"
 #include "protocol/pose_check.hpp"
 #include "protocol/virtual_coupling.hpp"
 
 namespace suture {
 namespace {
 
-constexpr std::int64_t kSlewWindowNs = 10'000'000;  // after a pause, no more than this at once
 constexpr std::int64_t kLongestNs = 1'000'000'000;  // of times that a model may ask for
 
 template <std::size_t N>
@@ -155,9 +156,7 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
     take(from.jacobian, model.others[k].jacobian[0].data());
   }
 
-  if (!is_sound(model) || !std::isfinite(wire.mapping.position_m[0]) ||
-      !std::isfinite(wire.mapping.position_m[1]) || !std::isfinite(wire.mapping.position_m[2]))
-    return false;
+  if (!is_sound(model) || !all_finite(wire.mapping.position_m)) return false;
   received.mapping = wire.mapping;
   received.blend_ns = std::clamp<std::int64_t>(wire.blend_ns, 0, kLongestNs);
   received.ramp_ns = std::clamp<std::int64_t>(wire.ramp_ns, 1, kLongestNs);

@@ -26,8 +26,8 @@ struct DeviceOptions {
   std::string tool;                 ///< as in the scene
   Render render = Render::kServer;  ///< at the beginning; see Device::set_render
   /// What the device can do: told to the server, which keeps to the smaller of this and the
-  /// scene's limits, as does the SDK where it renders itself. A model stiffer than the device
-  /// renders stably is softened, in those directions only, by a virtual coupling.
+  /// scene's limits; so does the SDK, last before the hand, whoever renders. A model stiffer than
+  /// the device renders stably is softened, in those directions only, by a virtual coupling.
   DeviceLimits limits;
   std::string model;  ///< name of the device for people, at most 63 bytes
   /// Faster than so, in its own frame, no hand moves: beyond it a hand has jumped.
