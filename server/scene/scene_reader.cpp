@@ -406,7 +406,7 @@ class SceneBuilder {
     if (rows == nullptr) return;
     for (const toml::node& row : *rows) {
       const toml::array* pair = row.as_array();
-      const auto at = [&](std::size_t i) { return (*pair)[i].value<double>().value_or(-1.0); };
+      const auto at = [&](std::size_t i) { return number_of((*pair)[i]).value_or(-1.0); };
       const bool legal = pair != nullptr && pair->size() == 2 && std::isfinite(at(0)) &&
                          at(0) >= 0.0 && kLength.holds(at(1));
       const bool later =

@@ -72,6 +72,11 @@ std::string did_you_mean(std::string_view word, std::span<const std::string> kno
   return meant == nullptr ? "" : ", did you mean \"" + *meant + "\"?";
 }
 
+std::optional<double> number_of(const toml::node& node) {
+  if (const auto* integer = node.as_integer()) return static_cast<double>(integer->get());
+  return node.value_exact<double>();
+}
+
 const toml::source_region& TableReader::place(std::string_view key) const {
   const toml::node* node = table_.get(key);
   return node == nullptr ? table_.source() : node->source();
@@ -95,11 +100,12 @@ void TableReader::missing(std::string_view key) {
 std::optional<double> TableReader::read_number(std::string_view key, const Range& range) {
   const toml::node* node = find(key);
   if (node == nullptr) return std::nullopt;
-  if (!node->is_number()) {
+  const std::optional<double> given = number_of(*node);
+  if (!given) {
     wrong_type(key, "a number");
     return std::nullopt;
   }
-  const double x = node->value<double>().value();
+  const double x = *given;
   if (std::isfinite(x) && range.holds(x)) return x;
   const std::string wanted = std::isfinite(x) ? range.text() : "a finite number";
   fault(key,
@@ -177,7 +183,7 @@ std::optional<std::vector<double>> TableReader::numbers(std::string_view key, st
   std::vector<double> values;
   if (array != nullptr)
     for (const toml::node& item : *array)
-      if (item.is_number()) values.push_back(item.value<double>().value());
+      if (const auto x = number_of(item)) values.push_back(*x);
   const bool finite =
       std::all_of(values.begin(), values.end(), [](double x) { return std::isfinite(x); });
   if (array == nullptr || array->size() != count || values.size() != count || !finite) {

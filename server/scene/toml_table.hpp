@@ -60,6 +60,10 @@ inline constexpr Range kAnyNumber{};
 /// Returns the candidate closest to `word` as ", did you mean "x"?", or "" where none is close.
 [[nodiscard]] std::string did_you_mean(std::string_view word, std::span<const std::string> known);
 
+/// Returns the number at `node`; nullopt where it is none. An integer beyond 2^53 is rounded, as it
+/// would be with a point behind it (`toml::node::value<double>` takes it for no number).
+[[nodiscard]] std::optional<double> number_of(const toml::node& node);
+
 /// A table whose keys are read once each. Every fault has the place of the value concerned, and a
 /// reading that fails returns the fallback, so that one pass finds all faults.
 class TableReader {

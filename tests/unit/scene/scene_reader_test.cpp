@@ -458,6 +458,15 @@ TEST_F(SceneReader, NamesThePlaceAndTheMendOfEveryFault) {
   }
 }
 
+/// 2^53 + 1 and more are no doubles, but numbers.
+TEST_F(SceneReader, TakesAnIntegerTooLongForADoubleForANumber) {
+  EXPECT_THAT(error_of("rate_hz = 18888888888888888\n" + std::string(kTissue) + kFixed),
+              StartsWith("s.toml:1:11: rate_hz of the scene is 1.88889e+16 and must be"));
+  EXPECT_THAT(
+      error_of("gravity_m_per_s2 = [0, 0, -9007199254740993]\n" + std::string(kTissue) + kFixed),
+      StartsWith("s.toml:1:20: gravity_m_per_s2 of the scene holds"));
+}
+
 TEST_F(SceneReader, NamesFaultsOfTheSceneItself) {
   EXPECT_THAT(error_of(""), StartsWith("s.toml:1:1: the scene has no tissue; add a [[tissue]]"));
   EXPECT_THAT(
