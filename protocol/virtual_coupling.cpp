@@ -222,4 +222,9 @@ double couple_model(HapticModel& model, double max_stiffness_n_per_m) noexcept {
   return largest;
 }
 
+void limit_damping(HapticModel& model, double max_damping_n_s_per_m) noexcept {
+  if (max_damping_n_s_per_m > 0.0 && model.slide_drag_n_s_per_m > max_damping_n_s_per_m)
+    model.slide_drag_n_s_per_m = 0.0;
+}
+
 }  // namespace suture

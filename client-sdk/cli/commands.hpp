@@ -43,7 +43,8 @@ struct DeviceArguments {
   std::string plot;
   std::string summary;
   double rate_hz = 1000.0;
-  double max_force_n = 0.0, max_slew_n_per_s = 0.0, max_stiffness_n_per_m = 0.0;  ///< 0: none
+  double max_force_n = 0.0, max_slew_n_per_s = 0.0, max_stiffness_n_per_m = 0.0,
+         max_damping_n_s_per_m = 0.0;  ///< 0: none
   bool loop = false;
   bool pause_at_end = false;
   bool quiet = false;

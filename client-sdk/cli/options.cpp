@@ -92,6 +92,11 @@ void add_device(CLI::App& app, Action& action) {
       ->add_option("--max-stiffness", arguments->max_stiffness_n_per_m,
                    "N/m that the device renders stably; stiffer things are softened")
       ->check(suture::within(0.001, 1e6, "N/m"));
+  command
+      ->add_option("--max-damping", arguments->max_damping_n_s_per_m,
+                   "N s/m that the device renders stably; friction that follows the speed more "
+                   "strongly is held from step to step")
+      ->check(suture::within(1e-6, 1e6, "N s/m"));
   command->add_flag("--loop", arguments->loop, "play to the end and back again until interrupted");
   command->add_flag("--pause-at-end", arguments->pause_at_end,
                     "pause the server before the last tool leaves, so that the scene stays "

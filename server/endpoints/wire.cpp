@@ -162,6 +162,7 @@ haptics::DeviceLimits device_limits(const suture::v1::DeviceProfile& wire) noexc
   limits.force.max_torque_nm = wire.max_torque_nm;
   limits.force.max_force_slew_n_per_s = wire.max_force_slew_n_per_s;
   limits.max_stiffness_n_per_m = wire.max_stiffness_n_per_m;
+  limits.max_damping_n_s_per_m = wire.max_damping_n_s_per_m;
   limits.pointer = wire.pointer;
   return limits;
 }

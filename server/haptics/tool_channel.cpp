@@ -213,6 +213,8 @@ bool ToolChannel::publish_model(const suture::HapticModel& model, std::int64_t t
   StampedModel& to = models_.back();
   to.model = model;
   const double scale = targets_.front().frame == Frame::kDevice ? hand_over_tool_stiffness_ : 1.0;
+  suture::limit_damping(to.model,
+                        max_damping_n_s_per_m_.load(std::memory_order_relaxed) / scale);
   suture::couple_model(to.model, max_stiffness_n_per_m() / scale);
   to.taken_ns = taken_ns;
   to.published_ns = now_ns;
@@ -229,9 +231,9 @@ void ToolChannel::set_device_limits(const DeviceLimits& device) noexcept {
   max_torque_nm_.store(allowed.max_torque_nm, std::memory_order_relaxed);
   max_force_slew_n_per_s_.store(allowed.max_force_slew_n_per_s, std::memory_order_relaxed);
   max_torque_slew_nm_per_s_.store(allowed.max_torque_slew_nm_per_s, std::memory_order_relaxed);
-  max_stiffness_n_per_m_.store(
-      device.max_stiffness_n_per_m > 0.0 ? device.max_stiffness_n_per_m : 0.0,
-      std::memory_order_relaxed);
+  const auto or_none = [](double limit) { return limit > 0.0 ? limit : 0.0; };
+  max_stiffness_n_per_m_.store(or_none(device.max_stiffness_n_per_m), std::memory_order_relaxed);
+  max_damping_n_s_per_m_.store(or_none(device.max_damping_n_s_per_m), std::memory_order_relaxed);
   pointer_.store(device.pointer, std::memory_order_relaxed);
 }
 

@@ -115,6 +115,7 @@ struct RenderedSample {
 struct DeviceLimits {
   suture::ForceLimits force{0.0, 0.0, 0.0, 0.0};
   double max_stiffness_n_per_m = 0.0;  ///< at the hand
+  double max_damping_n_s_per_m = 0.0;  ///< likewise
   bool pointer = false;                ///< a mouse or the like: poses come seldom
 };
 
@@ -353,7 +354,7 @@ class ToolChannel {
   std::atomic<std::int64_t> model_age_max_ns_{0};
   // Each by itself: a tick may see one changed and the next not yet; slew takes what steps.
   std::atomic<double> max_force_n_, max_torque_nm_, max_force_slew_n_per_s_,
-      max_torque_slew_nm_per_s_, max_stiffness_n_per_m_{0.0};
+      max_torque_slew_nm_per_s_, max_stiffness_n_per_m_{0.0}, max_damping_n_s_per_m_{0.0};
   std::atomic<bool> pointer_{false};
   ToolCounters counters_;
   struct Arrival {

@@ -121,6 +121,7 @@ int lie(const Guest& guest) {
   suture::set_guid(profile.device, writer.guid());
   profile.max_force_n = random() % 2 == 0 ? kNan : -1.0;
   profile.max_stiffness_n_per_m = random() % 2 == 0 ? kInfinity : 1e-300;
+  profile.max_damping_n_s_per_m = random() % 2 == 0 ? kNan : 1e-300;
   profiles.write(profile);
   const Clock::time_point begun = Clock::now();
   suture::v1::ToolPose pose{};

@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "soak/checks.hpp"
+#include "soak/felt.hpp"
 #include "soak/hands.hpp"
 
 namespace sutured::soak {
@@ -35,9 +36,9 @@ constexpr unsigned kHangs_s = 600;
 /// What one surgeon left; crosses a pipe.
 struct Outcome {
   bool good = false;
-  std::uint64_t steps = 0, inverted_steps = 0, substeps = 0;
+  std::uint64_t steps = 0, inverted_steps = 0, substeps = 0, ticks = 0, felt_ticks = 0;
   int resets = 0, replays = 0, inverted_tets = 0, rows = 0;
-  double residual = 0.0, displacement_m = 0.0, force_n = 0.0, tension_n = 0.0;
+  double residual = 0.0, displacement_m = 0.0, force_n = 0.0, tension_n = 0.0, felt_n = 0.0;
   std::array<std::uint64_t, kEventKinds> events{};
   char fault[256] = "";
 };
@@ -71,6 +72,7 @@ Outcome play(std::uint64_t seed, int steps, bool verbose) {
   Simulation sim(scene);
   const std::uint64_t at_rest = hash_of_places(sim);
   Surgeon surgeon(seed, temper, scene);
+  FeltForces felt(seed + 99, scene);
   testing::Random random(seed + 77);
   std::vector<Played> recording;
   std::size_t first_reset = 0;
@@ -86,6 +88,7 @@ Outcome play(std::uint64_t seed, int steps, bool verbose) {
       played.reset_before = true;
       sim.reset();
       surgeon.forget();
+      felt.reset();
       ++out.resets;
       if (hash_of_places(sim) != at_rest) return fail("a reset does not restore the start");
     }
@@ -109,6 +112,7 @@ Outcome play(std::uint64_t seed, int steps, bool verbose) {
       std::printf("\n");
     }
     if (const auto fault = fault_of(scene, sim, displaced)) return fail(*fault);
+    if (const auto fault = felt.play(sim, played.inputs, dt_s)) return fail(*fault);
     for (const Event& event : sim.events()) ++out.events[static_cast<std::size_t>(event.kind)];
     out.substeps += static_cast<std::uint64_t>(sim.report().substeps);
     out.rows = std::max(out.rows, sim.report().rows);
@@ -124,6 +128,9 @@ Outcome play(std::uint64_t seed, int steps, bool verbose) {
         out.displacement_m =
             std::max(out.displacement_m, (sim.positions_m()[v] - sim.rest_positions_m()[v]).norm());
   }
+  out.ticks = felt.ticks();
+  out.felt_ticks = felt.felt();
+  out.felt_n = felt.largest_n();
   if (seed % 5 == 0) {
     Simulation again(scene);
     const auto same = [&](Simulation& on, std::size_t end) {
@@ -238,6 +245,9 @@ int main(int argc, char** argv) {
     sum.displacement_m = std::max(sum.displacement_m, outcome.displacement_m);
     sum.force_n = std::max(sum.force_n, outcome.force_n);
     sum.tension_n = std::max(sum.tension_n, outcome.tension_n);
+    sum.ticks += outcome.ticks;
+    sum.felt_ticks += outcome.felt_ticks;
+    sum.felt_n = std::max(sum.felt_n, outcome.felt_n);
     for (std::size_t i = 0; i < kEventKinds; ++i) sum.events[i] += outcome.events[i];
     running.erase(child);
   }
@@ -249,7 +259,8 @@ int main(int argc, char** argv) {
       "  events: %llu grasps, %llu releases, %llu contacts, %llu punctures, %llu exits, %llu taut, "
       "%llu slack, %llu unthreaded, %llu slips, %llu limits, %llu inverted, %llu residuals\n"
       "  most: residual %.2g, %d rows, tool %.3g N, tension %.3g N, displacement %.3g mm, "
-      "%d tets inside out (in %llu steps)\n",
+      "%d tets inside out (in %llu steps)\n"
+      "  hands: %.3g N at most in %llu ticks, something to feel in %llu forces\n",
       static_cast<unsigned long long>(done), static_cast<unsigned long long>(sum.steps),
       static_cast<unsigned long long>(sum.substeps), sum.resets, sum.replays,
       static_cast<unsigned long long>(failed), n(EventKind::kGrasp), n(EventKind::kRelease),
@@ -257,6 +268,7 @@ int main(int argc, char** argv) {
       n(EventKind::kSlack), n(EventKind::kUnthread), n(EventKind::kGripSlip), n(EventKind::kLimit),
       n(EventKind::kInverted), n(EventKind::kSolverResidual), sum.residual, sum.rows, sum.force_n,
       sum.tension_n, 1e3 * sum.displacement_m, sum.inverted_tets,
-      static_cast<unsigned long long>(sum.inverted_steps));
+      static_cast<unsigned long long>(sum.inverted_steps), sum.felt_n,
+      static_cast<unsigned long long>(sum.ticks), static_cast<unsigned long long>(sum.felt_ticks));
   return failed == 0 ? 0 : 1;
 }

@@ -282,9 +282,11 @@ void Device::State::tell_profile() {
   profile.stamp_ns = wall_clock_ns();
   set_guid(profile.device, writer.guid());
   set_text(profile.model, options.model);
+  profile.rate_hz = options.rate_hz;
   profile.max_force_n = options.limits.max_force_n;
   profile.max_torque_nm = options.limits.max_torque_nm;
   profile.max_stiffness_n_per_m = options.limits.max_stiffness_n_per_m;
+  profile.max_damping_n_s_per_m = options.limits.max_damping_n_s_per_m;
   profile.max_force_slew_n_per_s = options.limits.max_force_slew_n_per_s;
   profile_writer.write(profile);
 }

@@ -168,9 +168,9 @@ bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns, const D
                   wire.max_torque_slew_nm_per_s},
                  {device.max_force_n, device.max_torque_nm, device.max_force_slew_n_per_s, 0.0}),
       std::min(received.ramp_ns, received.zero_after_ns - received.stale_after_ns));
-  const double tool_stiffness =
-      in_world ? 1.0 : wire.mapping.force_scale * wire.mapping.motion_scale;
-  couple_model(model, device.max_stiffness_n_per_m / tool_stiffness);
+  const double scale = in_world ? 1.0 : wire.mapping.force_scale * wire.mapping.motion_scale;
+  limit_damping(model, device.max_damping_n_s_per_m / scale);
+  couple_model(model, device.max_stiffness_n_per_m / scale);
   received.engaged = (wire.flags & suture_v1_MODEL_ENGAGED) != 0;
   received.stopped = (wire.flags & suture_v1_MODEL_STOPPED) != 0;
   received.arrived_ns = arrived_ns;

@@ -495,8 +495,11 @@ TEST(Device, TellsWhatItCanDo) {
   Reader<v1::DeviceProfile> profiles(participant);
   DeviceOptions options = device_options();
   options.model = "spring board";
-  options.limits = {
-      .max_force_n = 2.0, .max_force_slew_n_per_s = 90.0, .max_stiffness_n_per_m = 800.0};
+  options.rate_hz = 2000.0;
+  options.limits = {.max_force_n = 2.0,
+                    .max_force_slew_n_per_s = 90.0,
+                    .max_stiffness_n_per_m = 800.0,
+                    .max_damping_n_s_per_m = 4.0};
   Device device(options);
   device.write({});
   bool told = false;
@@ -504,6 +507,7 @@ TEST(Device, TellsWhatItCanDo) {
     profiles.take_each([&](const v1::DeviceProfile& profile, const SampleInfo& info) {
       told |= info.valid && text_of(profile.tool) == "driver" && profile.max_force_n == 2.0 &&
               profile.max_force_slew_n_per_s == 90.0 && profile.max_stiffness_n_per_m == 800.0 &&
+              profile.max_damping_n_s_per_m == 4.0 && profile.rate_hz == 2000.0 &&
               text_of(profile.model) == "spring board" &&
               guid_of(profile.device) == server.last_sender();
     });

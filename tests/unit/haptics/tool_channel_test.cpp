@@ -515,6 +515,32 @@ TEST(ToolChannel, KeepsToTheSmallerOfSceneAndDevice) {
   EXPECT_NEAR(rig.force_n(), 0.5, 1e-9);
 }
 
+/// A needle that is drawn on at 0.1 m/s, and then stands: friction follows the speed, or stays as
+/// it was in the step where that damps the hand by more than its device renders.
+TEST(ToolChannel, DampsTheHandNoMoreThanItsDeviceRenders) {
+  const auto friction_felt_n = [](double max_damping_n_s_per_m) {
+    Rig rig;
+    rig.couple = [](suture::HapticModel& model) {
+      model.bilateral_wrench.force_n[1] = -0.5;
+      model.slide_twist[1] = model.slide_gradient[1] = 1.0;
+      model.slide_stiffness = 300.0;
+      model.slide_friction_n = -0.5;
+      model.slide_drag_n_s_per_m = 0.2;
+      model.bilateral_stiffness[7] = 0.0;
+    };
+    DeviceLimits device;
+    device.max_damping_n_s_per_m = max_damping_n_s_per_m;
+    rig.channel().set_device_limits(device);
+    rig.run(300);
+    rig.steps = false;
+    rig.run(12);
+    return std::abs(rig.channel().report().wrench.force_n[1]);
+  };
+  EXPECT_NEAR(friction_felt_n(0.1), 0.5, 1e-9);
+  EXPECT_LT(friction_felt_n(0.3), 0.05);
+  EXPECT_LT(friction_felt_n(0.0), 0.05);
+}
+
 TEST(ToolChannel, NeitherAllocatesNorLocks) {
   if (!testing::HeapGuard::active()) GTEST_SKIP() << "a sanitizer owns malloc here";
   Rig rig;

@@ -24,7 +24,7 @@ TEST(Contract, IsWhatWasPublished) {
       {"suture::v1::ToolForce", 15104401843607927309U},
       {"suture::v1::HapticModel", 18182830569220218481U},
       {"suture::v1::ToolRendered", 2186318450677105471U},
-      {"suture::v1::DeviceProfile", 3567552897517450184U},
+      {"suture::v1::DeviceProfile", 11345085107409444153U},
       {"suture::v1::Event", 14728885425181857786U},
       {"suture::v1::ServerStatus", 13148945350279346076U},
       {"suture::v1::Command", 5932826398824730769U},

@@ -113,6 +113,20 @@ TEST(VirtualCoupling, HoldsTheFrictionOfANeedleWhereItWouldBeStifferThanTheDevic
   EXPECT_EQ(coupled(0.0), 0.2) << "a device that tells no limit";
 }
 
+TEST(VirtualCoupling, HoldsTheFrictionOfANeedleThatWouldDampMoreThanTheDeviceRenders) {
+  const auto drag = [](double max_damping_n_s_per_m) {
+    const auto model = std::make_unique<HapticModel>();
+    model->slide_drag_n_s_per_m = 0.2;
+    limit_damping(*model, max_damping_n_s_per_m);
+    return model->slide_drag_n_s_per_m;
+  };
+  EXPECT_EQ(drag(0.3), 0.2);
+  EXPECT_EQ(drag(0.1), 0.0);
+  for (const double none : {0.0, -1.0, std::numeric_limits<double>::quiet_NaN(),
+                            std::numeric_limits<double>::infinity()})
+    EXPECT_EQ(drag(none), 0.2) << none;
+}
+
 TEST(VirtualCoupling, ChangesNothingWhereTheDeviceIsStiffEnough) {
   std::mt19937 random(1);
   for (const int rows : {0, 5, 40}) {

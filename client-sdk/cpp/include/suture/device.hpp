@@ -29,7 +29,8 @@ struct DeviceOptions {
   /// scene's limits; so does the SDK, last before the hand, whoever renders. A model stiffer than
   /// the device renders stably is softened, in those directions only, by a virtual coupling.
   DeviceLimits limits;
-  std::string model;  ///< name of the device for people, at most 63 bytes
+  std::string model;     ///< name of the device for people, at most 63 bytes
+  double rate_hz = 0.0;  ///< how often it will write poses, for people; 0: not known
   /// Faster than so, in its own frame, no hand moves: beyond it a hand has jumped.
   double max_speed_m_per_s = 2.0;
   std::chrono::milliseconds timeout{3000};  ///< to find the server

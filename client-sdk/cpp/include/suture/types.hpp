@@ -54,6 +54,7 @@ struct DeviceLimits {
   double max_torque_nm = 0.0;
   double max_force_slew_n_per_s = 0.0;
   double max_stiffness_n_per_m = 0.0;  ///< the stiffest spring that it renders stably
+  double max_damping_n_s_per_m = 0.0;  ///< the strongest damper that it renders stably
 };
 
 /// What stands behind a force.

@@ -286,7 +286,7 @@ export class Session implements HandOutput {
     this.#publish(2, {
       tool, epoch: this.#epoch, sequence_number: 1n, stamp_ns: this.#stamp(), device: kNobody, model: "viewer, pointer",
       rate_hz: 1000 / kPosePeriod_ms, max_force_n: 0, max_torque_nm: 0, max_stiffness_n_per_m: 0,
-      max_force_slew_n_per_s: 0, pointer: true,
+      max_damping_n_s_per_m: 0, max_force_slew_n_per_s: 0, pointer: true,
     });
   }
 
