@@ -115,6 +115,9 @@ test: deps-test deps-node ## Build and run every test
 	@cmake --preset dev >/dev/null
 	@cmake --build --preset dev
 	@ctest --preset dev --progress
+	@cmake --preset tsan >/dev/null
+	@cmake --build --preset threads
+	@ctest --preset threads --progress
 	@cmake --preset fuzz >/dev/null
 	@cmake --build --preset fuzz --target fuzzers
 	@ctest --preset fuzz --progress

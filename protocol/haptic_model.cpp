@@ -314,6 +314,7 @@ int ModelEvaluator::violations(const HapticModel& model) noexcept {
 
 void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi,
                              std::span<const Twist> others) noexcept {
+  pivots_left_ = kPivotsMax;
   for (int i = 0; i < model.rows; ++i) rhs_[i] = model.offset_m[i] + dot(model.jacobian[i], xi);
   for (std::size_t k = 0; k < others.size(); ++k)
     for (int i = 0; i < model.rows; ++i) rhs_[i] += dot(model.others[k].jacobian[i], others[k]);
@@ -324,15 +325,18 @@ void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi,
     follows |= model.bound_slope[i] > 0.0;
   }
   if (!follows) {
-    settle(model);
+    if (!settle(model)) ++fallbacks_;
     return;
   }
 
   for (int i = 0; i < model.rows; ++i) rhs_[i] -= slip_[i];
-  if (fresh_) settle(model);
+  if (fresh_) (void)settle(model);  // for bounds to start from
   fresh_ = false;
   follow(model);
-  if (!settle(model)) return;
+  if (!settle(model)) {
+    ++fallbacks_;
+    return;
+  }
   for (int i = 0; i < model.rows; ++i)
     if (model.bound_slope[i] > 0.0 && state_[i] != Row::kFree) slip_[i] -= gap_[i];
 }
@@ -362,7 +366,8 @@ bool ModelEvaluator::settle(const HapticModel& model) noexcept {
   bool exact = solve_with_set();
   int worst = violations(model);
   int fewest = worst + 1;
-  for (int pivot = 0; worst > 0 && pivot < kPivotsMax; ++pivot) {
+  for (; worst > 0 && pivots_left_ > 0; --pivots_left_) {
+    ++pivots_;
     if (worst < fewest) {
       fewest = worst;
       state_ = wanted_;
@@ -379,7 +384,6 @@ bool ModelEvaluator::settle(const HapticModel& model) noexcept {
     worst = violations(model);
   }
   exact &= worst == 0;
-  if (!exact) ++fallbacks_;
   for (int i = 0; i < model.rows; ++i) lambda_[i] = std::clamp(lambda_[i], lower_[i], upper_[i]);
   return exact;
 }

@@ -142,7 +142,7 @@ struct HapticModel {
 ///
 /// A bound that follows another row takes that row's multiplier of the call before (at 1 kHz one
 /// millisecond late), so S stays the matrix of the problem, symmetric. A model's first call, which
-/// has none before it, solves twice.
+/// has none before it, solves twice, within the same number of changes.
 ///
 /// Thread: one at a time. Allocates: nothing. Cost: O(m²), and one Cholesky of the free
 /// rows for each change of the set (m = 64: tens of microseconds).
@@ -200,6 +200,8 @@ class ModelEvaluator {
 
   /// Returns how many calls ended with a clamped multiplier.
   [[nodiscard]] std::uint64_t fallbacks() const noexcept { return fallbacks_; }
+  /// Returns how often the set was changed.
+  [[nodiscard]] std::uint64_t pivots() const noexcept { return pivots_; }
   /// Returns the multipliers of the last call (N), `rows` of them.
   [[nodiscard]] const std::array<double, kModelRowsMax>& multipliers_n() const noexcept {
     return lambda_;
@@ -222,11 +224,12 @@ class ModelEvaluator {
   void follow(const HapticModel& model) noexcept;
 
   std::uint64_t epoch_ = 0, sequence_ = 0;
-  std::uint64_t fallbacks_ = 0;
+  std::uint64_t fallbacks_ = 0, pivots_ = 0;
   double residual_m_ = 0.0;
   int free_count_ = 0;
   bool factored_ = false;
-  bool fresh_ = true;  // no call with this model yet
+  bool fresh_ = true;    // no call with this model yet
+  int pivots_left_ = 0;  // of this call
   std::array<Row, kModelRowsMax> state_{};
   std::array<Row, kModelRowsMax> wanted_{};
   std::array<std::int32_t, kModelRowsMax> free_{};       // indices of the free rows

@@ -16,9 +16,11 @@ namespace {
 
 using haptics::kMillisecond_ns;
 constexpr std::int64_t kPeriod_ns = 4 * kMillisecond_ns;
+constexpr int kTip = 0;  // its row; two of friction follow
 
 /// Tissue in contact all round the tool: compliances as of a wall of a vessel (30 N/m), rows
-/// that share half of it, normals in all directions, a third of the gaps closed.
+/// that share half of it, normals in all directions, a third of the gaps closed; a tip that
+/// pierces at 50 mN, and its friction.
 std::unique_ptr<suture::HapticModel> contact_all_round(int rows, std::mt19937_64& random) {
   std::normal_distribution<double> normal;
   auto model = std::make_unique<suture::HapticModel>();
@@ -37,7 +39,12 @@ std::unique_ptr<suture::HapticModel> contact_all_round(int rows, std::mt19937_64
       model->jacobian[i][3 + axis] = 2e-3 * normal(random);
     }
     model->offset_m[i] = 2e-4 * (normal(random) - 0.4);
-    model->multiplier_max_n[i] = i == 0 ? 0.05 : HUGE_VAL;
+    model->multiplier_max_n[i] = i == kTip ? 0.05 : HUGE_VAL;
+    if (i == kTip + 1 || i == kTip + 2) {
+      model->multiplier_max_n[i] = 0.01;
+      model->bound_row[i] = kTip;
+      model->bound_slope[i] = 0.2;
+    }
     for (int j = 0; j <= i; ++j) {
       double shared = 0.0;
       for (std::size_t k = 0; k < shape[i].size(); ++k) shared += shape[i][k] * shape[j][k];

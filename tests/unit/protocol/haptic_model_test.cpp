@@ -498,6 +498,28 @@ TEST(HapticModel, GivesNoEnergyOnAClosedLoop) {
   }
 }
 
+TEST(HapticModel, ChangesItsSetFourTimesACallAtMostAlsoInAModelsFirst) {
+  RandomModels random(13);
+  constexpr std::uint64_t kMost = ModelEvaluator::kPivotsMax;
+  std::uint64_t most = 0;
+  for (int trial = 0; trial < 200; ++trial) {
+    HapticModel model = random.make(30);
+    for (int i = 0; i < model.rows; i += 3) {  // those of 0.05 N
+      model.bound_row[i] = i + 1;
+      model.bound_slope[i] = random.uniform(0.1, 1.0);
+    }
+    complete_model(model);
+    ModelEvaluator evaluator;
+    for (int call = 0; call < 3; ++call) {  // the hand is far away
+      const std::uint64_t before = evaluator.pivots();
+      (void)evaluator.evaluate(model, moved(random.twist(5e-3, 0.2)));
+      EXPECT_LE(evaluator.pivots() - before, kMost);
+      most = std::max(most, evaluator.pivots() - before);
+    }
+  }
+  EXPECT_EQ(most, kMost) << "the leaps were meant to use them up";
+}
+
 TEST(HapticModel, GivesNoEnergyOnALoopWhereBoundsFollowOtherRows) {
   RandomModels random(12);
   int followed = 0;
