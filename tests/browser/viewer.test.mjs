@@ -5,9 +5,9 @@ import { once } from "node:events";
 import { mkdtempSync, readdirSync, readFileSync, rmSync, statSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { tmpdir } from "node:os";
-import { join } from "node:path";
+import { dirname, join } from "node:path";
 import { after, before, beforeEach, describe, it as register } from "node:test";
-import { event, figure, launch, lease, missing, nextFrame, open, pixels, root, Server, shown } from "./support.mjs";
+import { event, figure, launch, lease, missing, nextFrame, open, pixels, root, Server, shown, vessels } from "./support.mjs";
 
 const why = missing();
 if (why) {
@@ -43,6 +43,21 @@ function noteFrames() {
       });
     }
   };
+}
+
+/** Writes the vessels with a thread in three bites of each, knotted at its tail, its head free; returns the scene's file. */
+function sewnScene(folder) {
+  const bites = [[0, -1], [0, 1], [15, -1], [15, 1], [30, -1], [30, 1]].map(([degrees, side]) => {
+    const outer = side < 0 ? 0.006 : 0.005, inner = outer - 0.0015;
+    const at = (radius) => [radius * Math.cos(degrees * Math.PI / 180), radius * Math.sin(degrees * Math.PI / 180), side * 0.00275];
+    const walls = side < 0 ? [outer, inner] : [inner, outer];
+    return walls.map((radius) => `  { tissue = "${side < 0 ? "proximal" : "distal"}", point_m = [${at(radius).map((x) => x.toFixed(6)).join(", ")}] },`).join("\n");
+  });
+  const thread = `[[thread]]\nname = "thread"\nlength_m = 0.1\nhead = "free"\ntail = "anchored"\npunctures = [\n${bites.join("\n")}\n]\n\n`;
+  const scene = readFileSync(vessels, "utf8").replace(/\[\[thread\]\][^[]*/, thread).replaceAll('"vessels.msh"', JSON.stringify(join(dirname(vessels), "vessels.msh")));
+  const file = join(folder, "sewn.toml");
+  writeFileSync(file, scene);
+  return file;
 }
 
 /** Gives the page, and does with who asks for its WebSocket what `answer` says: (request, socket) → nothing. */
@@ -203,6 +218,50 @@ describe("the viewer", { timeout: 240_000 }, () => {
     await event(opened, "ToolReturned");
     await lease(opened, "none");
     await other.locator('[data-tool="driver"]').getByRole("button").and(other.locator(":enabled")).waitFor();
+  });
+
+  it("lets go of the needle, takes the thread, and pulls it taut", async () => {
+    const folder = mkdtempSync(join(tmpdir(), "suture-browser-"));
+    const sewn = await Server.start({ scene: sewnScene(folder) });
+    // A small one: pictures without a GPU take the time of the hand.
+    const opened = (await open(browser, sewn, { viewport: { width: 720, height: 480 } })).page;
+    try {
+      const driver = opened.locator('[data-tool="driver"]');
+      await driver.getByRole("button").click();
+      await lease(opened, "held");
+      await opened.keyboard.press("n");
+      await opened.getByText(/needle: 0\.\d mm from the jaw/).waitFor();
+      await opened.keyboard.press("Space");
+      await driver.getByText(/holds needle/).waitFor();
+      await opened.keyboard.press("Space");
+      await event(opened, "Release");
+      await driver.getByText(/holds/).waitFor({ state: "hidden" });
+
+      await opened.getByRole("button", { name: "To the thread" }).click();
+      await opened.getByText(/thread: 0\.\d mm from the jaw/).waitFor();
+      await opened.getByRole("button", { name: "Close jaw" }).click();
+      await driver.getByText(/holds thread/).waitFor();
+      // To the left, away from the vessels' middle: slack first, and then it pulls.
+      const box = await opened.locator("#canvas").boundingBox();
+      const taut = () => opened.locator('.events li[data-kind="Taut"]').count();
+      const force = async () => Number.parseFloat(await opened.getByRole("meter", { name: /^Force on the hand/ }).getAttribute("aria-valuenow"));
+      for (let i = 0; i < 40 && !((await taut()) > 0 && (await force()) > 0.02); ++i) {
+        await opened.mouse.move(box.x + 0.6 * box.width, box.y + 0.5 * box.height);
+        await opened.mouse.down();
+        await opened.mouse.move(box.x + 0.6 * box.width - 40, box.y + 0.5 * box.height, { steps: 4 });
+        await opened.mouse.up();
+        await nextFrame(opened);
+      }
+      await event(opened, "Taut");
+      await opened.waitForFunction(() => Number.parseFloat(document.querySelector('[role="meter"]').getAttribute("aria-valuenow")) > 0.02);
+    } catch (error) {
+      console.log(await shown(opened));
+      throw error;
+    } finally {
+      await opened.close();
+      await sewn.end();
+      rmSync(folder, { recursive: true });
+    }
   });
 
   it("works the jaw by the space bar, whichever button was clicked before", async () => {

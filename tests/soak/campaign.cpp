@@ -61,8 +61,10 @@ constexpr double kMaxGrowth_us = 1000.0;
 // held up where the machine is busy elsewhere (4.9 s at nine runnable processes for two
 // processors).
 constexpr double kMaxResume_s = 2.0;
-// A shorter one is all warm-up: nothing is asked of its growth.
-constexpr double kFlatMin_s = 120.0;
+// What fills up to a bound has done so after a fifth, and not before a minute: of the 5 MiB that
+// come in four minutes the first has 4.7. Less than kFlatMin_s after that says nothing of growth.
+constexpr double kWarmUp_s = 60.0;
+constexpr double kFlatMin_s = 100.0;
 
 double since_s(Clock::time_point begun) {
   return std::chrono::duration<double>(Clock::now() - begun).count();
@@ -479,8 +481,10 @@ class Campaign {
     const std::vector<std::string> faults = observer.faults();
     expect(faults.empty(), faults.empty() ? "every frame, thread and event is as it must be"
                                           : "in what is shown: " + faults.front());
-    const std::size_t warm = samples_.size() / 5;
-    flat_.assign(samples_.begin() + static_cast<std::ptrdiff_t>(warm), samples_.end());
+    const auto warm = std::find_if(
+        samples_.begin() + static_cast<std::ptrdiff_t>(samples_.size() / 5), samples_.end(),
+        [](const Sample& s) { return s.time_s >= kWarmUp_s; });
+    flat_.assign(warm, samples_.end());
     memory_kib_ = growth(flat_, [](const Sample& s) { return s.memory_kib; });
     descriptors_ = growth(flat_, [](const Sample& s) { return s.descriptors; });
     threads_ = growth(flat_, [](const Sample& s) { return s.threads; });

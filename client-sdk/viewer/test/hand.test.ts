@@ -6,10 +6,11 @@ import { Pad, rumble } from "../src/hand/gamepad";
 import { HandDevice, kPosePeriod_ms, kSilence_ms } from "../src/hand/hand_device";
 import { HeldKeys } from "../src/hand/held_keys";
 import { carried, distanceToCourse, driven, graspShare, needleMotion, pointAt, reachNeedle } from "../src/hand/needle_course";
+import { reachThread, threadPlace } from "../src/hand/thread_course";
 import { kMaxSpeed_m_per_s, kMaxSpin_rad_per_s, PosePacer } from "../src/hand/pacer";
 import { dragMode } from "../src/hand/pointer";
 import { about, dot, length, rotate, shaftAlong, subtract, turnBetween, type Pose, type Vec3 } from "../src/maths/vector";
-import { NeedleShape, POSE_GOODBYE, POSE_IN_WORLD, type NeedleState, type ToolForce, type ToolPose, type ToolStatus } from "../src/protocol/messages";
+import { NeedleShape, POSE_GOODBYE, POSE_IN_WORLD, type NeedleState, type ThreadState, type ToolForce, type ToolPose, type ToolStatus } from "../src/protocol/messages";
 import { toolId } from "../src/protocol/fnv";
 
 const kHome: Pose = { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
@@ -169,6 +170,38 @@ test("a hand reaches along its own shaft, across the needle, from the side of th
   const holder: Pose = { position: [0.019, 0, 0], orientation: shaftAlong([0, 0, -1]) };
   const second = reachNeedle(kHome, arcNeedle(), eye, holder)[1]!;
   near(rotate(second.orientation, [0, 0, 1])[2], 1, 1e-9);
+});
+
+/** From the head at (100, 0, 0) mm along x to a bite between 20 and 10 mm, and `tail_m` of it beyond. */
+function thread(tail_m: number, over: Partial<ThreadState> = {}): ThreadState {
+  const puncture = (x: number) => ({ body: "proximal", position_m: new Float64Array([x, 0, 0]), arc_length_m: 0, inward: true });
+  return {
+    thread: "thread", epoch: 1n, sequence_number: 1n, stamp_ns: 1n, length_m: 0.1, diameter_m: 0.0003, tension_n: 0, slack_m: 0, taut: false,
+    course_m: new Float64Array([0.1, 0, 0, 0.02, 0, 0, 0.01, 0, 0, 0.01 - tail_m, 0, 0]), segment_tension_n: new Float64Array(3),
+    punctures: [puncture(0.02), puncture(0.01)], ...over,
+  };
+}
+
+test("a thread is taken beside the tissue on its head's side, else on its tail's, and in its middle where it is in none", () => {
+  const x = (of: ThreadState) => threadPlace(of)?.at[0];
+  near(x(thread(0))!, 0.032, 1e-12);
+  const short = { course_m: new Float64Array([0.024, 0, 0, 0.02, 0, 0, 0.01, 0, 0, -0.04, 0, 0]) };
+  near(x(thread(0.05, short))!, 0.022, 1e-12);
+  const used = { course_m: new Float64Array([0.021, 0, 0, 0.02, 0, 0, 0.01, 0, 0, -0.04, 0, 0]) };
+  near(x(thread(0.05, used))!, -0.002, 1e-12);
+  near(x(thread(0, { punctures: [] }))!, 0.055, 1e-12);
+  assert.equal(x(thread(0, { course_m: new Float64Array([0.0205, 0, 0, 0.02, 0, 0, 0.01, 0, 0]) })), undefined, "nothing is left of it outside");
+  assert.equal(x(thread(0, { course_m: new Float64Array(0), punctures: [] })), undefined);
+});
+
+test("a hand reaches across the thread, from the side of the eye", () => {
+  const eye: Vec3 = [0.7, 0.3, -1];
+  const [before, at] = reachThread(kHome, threadPlace(thread(0))!, eye);
+  const shaft = rotate(at!.orientation, [0, 0, 1]);
+  near(shaft[0], 0, 1e-9);
+  assert.ok(dot(shaft, eye) > 0);
+  near(length(subtract(before!.position, at!.position)), 0.012, 1e-12);
+  near(at!.position[0], 0.032, 1e-12);
 });
 
 test("Shift turns and Ctrl drives, whatever the mode is", () => {

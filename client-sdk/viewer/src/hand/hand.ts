@@ -4,8 +4,9 @@
 import type { HandReport } from "../connection/worker_messages";
 import type { Link } from "../connection/link";
 import { about, add, length, multiply, normalized, rotate, scale, subtract, turnBetween, unit, type Pose, type Vec3 } from "../maths/vector";
-import type { NeedleState, ToolView } from "../protocol/messages";
+import type { NeedleState, ThreadState, ToolView } from "../protocol/messages";
 import { carried, driven, needleMotion, reachNeedle, type NeedleMotion } from "./needle_course";
+import { reachThread, threadPlace } from "./thread_course";
 
 export type DragMode = "move" | "turn" | "drive";
 
@@ -16,6 +17,7 @@ export interface HandWorld {
   metresPerPixel(at: Vec3): number;
   toolView(tool: string): ToolView | undefined;
   needles(): NeedleState[];
+  threads(): ThreadState[];
   /** Where a tool that was never led begins. */
   startPose(): Pose;
   /** No target lies farther than that from the scene's centre. */
@@ -163,11 +165,23 @@ export class Hand {
     return true;
   }
 
+  /** Leads the open jaw to the nearest thread, where one takes it to pull it. Returns whether there is one. */
+  reachForThread(): boolean {
+    if (!this.#tool) return false;
+    const far = (at: Vec3) => length(subtract(at, this.#target.position));
+    const places = this.#world.threads().map(threadPlace).filter((place) => place !== undefined);
+    const place = places.sort((a, b) => far(a.at) - far(b.at))[0];
+    if (!place) return false;
+    this.#jaw = 0;
+    this.#way = reachThread(this.#target, place, this.#world.cameraAxes().back);
+    return true;
+  }
+
   get reaching(): boolean {
     return this.#way.length > 0;
   }
 
-  /** Once a display frame: what is held down, the way to a needle, and the word that the page lives. */
+  /** Once a display frame: what is held down, the way to a needle or thread, and the word that the page lives. */
   update(rates: HandRates, elapsed_s: number): void {
     if (!this.#tool) return;
     const { right, up, back } = this.#world.cameraAxes();

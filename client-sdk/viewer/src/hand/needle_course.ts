@@ -6,7 +6,8 @@ import {
 } from "../maths/vector";
 import { NeedleShape, type NeedleState } from "../protocol/messages";
 
-const point = (course: ArrayLike<number>, i: number): Vec3 => [course[3 * i]!, course[3 * i + 1]!, course[3 * i + 2]!];
+/** Returns the i-th point of a course. */
+export const point = (course: ArrayLike<number>, i: number): Vec3 => [course[3 * i]!, course[3 * i + 1]!, course[3 * i + 2]!];
 
 export type NeedleMotion =
   /** Positive turns about `axis` take the tip forward. */

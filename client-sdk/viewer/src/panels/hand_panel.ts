@@ -70,7 +70,8 @@ export class HandPanel {
     this.#controls = h("div", { class: "hand", hidden: true },
       this.#lease, modes, this.#hint,
       h("div", { class: "buttons" }, this.#jaw,
-        h("button", { type: "button", title: "Leads the open jaw to the needle, at a hand's pace (N)", onclick: () => this.reach() }, "To the needle")),
+        h("button", { type: "button", title: "Leads the open jaw to the needle, at a hand's pace (N)", onclick: () => this.reach() }, "To the needle"),
+        h("button", { type: "button", title: "Leads the open jaw to the thread, beside the tissue (F)", onclick: () => this.reachForThread() }, "To the thread")),
       h("div", { class: "buttons" },
         held("PageDown", "Nearer", "Towards you (Page Down, wheel)"), held("PageUp", "Farther", "Away from you (Page Up, wheel)"),
         held("KeyQ", "Back", "Needle back along its curve (Q)"), held("KeyE", "Forward", "Needle forward along its curve (E)")),
@@ -92,6 +93,10 @@ export class HandPanel {
 
   reach(): void {
     if (!this.#hand.reach()) announce("There is no free needle to reach for");
+  }
+
+  reachForThread(): void {
+    if (!this.#hand.reachForThread()) announce("There is no thread to reach for");
   }
 
   /** Holds that tool, or lets go of it. */
@@ -147,7 +152,7 @@ export class HandPanel {
     this.#jaw.setAttribute("aria-pressed", String(this.#hand.closed));
     setText(this.#jaw, this.#hand.closed ? "Open jaw" : "Close jaw");
     setText(this.#near, this.padHeldBack ? "Gamepad: hold the left shoulder to move." : holding !== "" ? `The jaw holds ${holding}.`
-      : this.#hand.reaching ? "On the way to the needle …"
+      : this.#hand.reaching ? "On the way …"
         : near ? `${near.name}: ${mm(near.distance_m)} from the jaw` : "");
   }
 
