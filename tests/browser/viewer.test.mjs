@@ -124,13 +124,15 @@ describe("the viewer", { timeout: 240_000 }, () => {
   });
 
   it("draws both vessels and the needle", async () => {
-    const firstPicture = (of) => of.evaluate(() => document.documentElement.dataset.firstPictureMs);
-    const first = await page();
-    const cold_ms = await firstPicture(first);
-    await first.close();
-    const opened = await page();
-    console.log(`first picture: ${await firstPicture(opened)} ms after the page was asked for, ${cold_ms} ms in a browser just started ` +
-      "(budget on loopback: 2000 ms)");
+    const took_ms = [];
+    for (let i = 0; i < 4; ++i) {
+      await context.at(-1)?.page.close();
+      took_ms.push(Number(await (await page()).evaluate(() => document.documentElement.dataset.firstPictureMs)));
+    }
+    const [cold, ...rest] = took_ms;
+    console.log(`first picture: ${rest.sort((a, b) => a - b)[1]} ms after the page was asked for (median of three, budget on loopback: 2000 ms), ` +
+      `${cold} ms in a browser just started`);
+    const opened = context.at(-1).page;
     await opened.waitForSelector('[data-figure="Mesh"]');
     await nextFrame(opened);
     const warm = await pixels(opened, tissue);
