@@ -4,11 +4,11 @@
 #include <CLI/CLI.hpp>
 #include <filesystem>
 #include <iostream>
-#include <nlohmann/json.hpp>
 #include <set>
 #include <string>
 #include <utility>
 
+#include "commands/json_text.hpp"
 #include "commands/mesh_report.hpp"
 #include "commands/scene_file.hpp"
 #include "fem/cholesky_factor.hpp"
@@ -28,10 +28,7 @@ struct Options {
   bool json = false;
 };
 
-// Names of groups and files are what strangers wrote: what is not UTF-8 is replaced, not thrown at.
-void print_json(const json& report) {
-  std::cout << report.dump(2, ' ', false, json::error_handler_t::replace) << '\n';
-}
+void print_json(const json& report) { std::cout << as_text(report, 2) << '\n'; }
 
 void print_notes(const std::vector<std::string>& notes) {
   for (const std::string& note : notes) std::cout << "note: " << note << '\n';

@@ -15,6 +15,7 @@
 #include <system_error>
 
 #include "checkpoints/checkpoint_file.hpp"
+#include "commands/json_text.hpp"
 #include "commands/output_file.hpp"
 #include "commands/run_record.hpp"
 #include "commands/scene_file.hpp"
@@ -210,7 +211,7 @@ void write_step(const scene::Scene& scene, const Simulation& sim,
     files.threads << report.time_s << ',' << scene.threads[i].name << ',' << thread.tension_n << ','
                   << thread.slack_m << ',' << thread.punctures.size() << '\n';
   }
-  for (const auto& event : sim.events()) files.events << to_json(event).dump() << "\n";
+  for (const auto& event : sim.events()) files.events << as_text(to_json(event)) << "\n";
 }
 
 int run(const RunOptions& options) {

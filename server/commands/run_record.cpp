@@ -7,6 +7,7 @@
 #include <map>
 #include <span>
 
+#include "commands/json_text.hpp"
 #include "commands/output_file.hpp"
 #include "fem/elements.hpp"
 #include "needle/curve.hpp"
@@ -321,7 +322,7 @@ void RunRecord::write(const std::filesystem::path& folder, Simulation& simulatio
   summary["quality"] = summarise_quality(scene_, meter_);
   summary["wound"] = summarise_wounds(scene_, meter_);
   OutputFile file(folder, "summary.json");
-  file << summary.dump(2) << "\n";
+  file << as_text(summary, 2) << "\n";
   file.close();
 }
 

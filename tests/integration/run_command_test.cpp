@@ -352,6 +352,27 @@ TEST(RunCommand, TheSummaryTellsTheGapOfTheWound) {
   EXPECT_GE(wound["gap"]["max_m"].get<double>(), wound["gap"]["mean_m"].get<double>());
 }
 
+/// A scene without a name is called after its file.
+TEST(RunCommand, EndsWithItsSummaryAlsoWhereANameIsNotText) {
+  const testing::TemporaryFolder folder;
+  std::string scene = testing::read_file(kScene);
+  const auto cut = [&](const std::string& what, const std::string& by) {
+    const std::size_t at = scene.find(what);
+    ASSERT_NE(at, std::string::npos) << what;
+    scene.replace(at, what.size(), by);
+  };
+  cut("name = \"anastomosis\"\n", "");
+  const std::string mesh = "\"vessels.msh\"";
+  for (int tissue = 0; tissue < 2; ++tissue)
+    cut(mesh, '"' + std::filesystem::path(kScene).replace_filename("vessels.msh").string() + '"');
+  const std::string file = folder.path("v\xff.toml");
+  std::ofstream(file) << scene;
+  const auto result = run({file, "--duration", "0.02", "--out", folder.path("out")});
+  ASSERT_EQ(result.exit_code, 0) << result.err;
+  const auto summary = nlohmann::json::parse(testing::read_file(folder.path("out/summary.json")));
+  EXPECT_EQ(summary.at("scene"), "v\xef\xbf\xbd");
+}
+
 TEST(RunCommand, FaultsAreOneClearError) {
   const testing::TemporaryFolder folder;
   const auto missing = run({"nowhere.toml", "--surgeon", kOneBite, "--out", folder.path("out")});
