@@ -314,7 +314,6 @@ int ModelEvaluator::violations(const HapticModel& model) noexcept {
 
 void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi,
                              std::span<const Twist> others) noexcept {
-  pivots_left_ = kPivotsMax;
   for (int i = 0; i < model.rows; ++i) rhs_[i] = model.offset_m[i] + dot(model.jacobian[i], xi);
   for (std::size_t k = 0; k < others.size(); ++k)
     for (int i = 0; i < model.rows; ++i) rhs_[i] += dot(model.others[k].jacobian[i], others[k]);
@@ -325,15 +324,16 @@ void ModelEvaluator::resolve(const HapticModel& model, const Twist& xi,
     follows |= model.bound_slope[i] > 0.0;
   }
   if (!follows) {
-    if (!settle(model)) ++fallbacks_;
+    if (!settle(model, kPivotsMax)) ++fallbacks_;
     return;
   }
 
   for (int i = 0; i < model.rows; ++i) rhs_[i] -= slip_[i];
-  if (fresh_) (void)settle(model);  // for bounds to start from
+  const std::uint64_t before = pivots_;
+  if (fresh_) (void)settle(model, kPivotsMax / 2);  // for bounds to start from
   fresh_ = false;
   follow(model);
-  if (!settle(model)) {
+  if (!settle(model, kPivotsMax - static_cast<int>(pivots_ - before))) {
     ++fallbacks_;
     return;
   }
@@ -354,8 +354,9 @@ void ModelEvaluator::follow(const HapticModel& model) noexcept {
   }
 }
 
-// Solves for `rhs_` within the bounds. Returns whether it did, or had to clamp.
-bool ModelEvaluator::settle(const HapticModel& model) noexcept {
+// Solves for `rhs_` within the bounds, by at most so many pivots. Returns whether it did, or had to
+// clamp.
+bool ModelEvaluator::settle(const HapticModel& model, int pivots_most) noexcept {
   // A row found redundant while factoring leaves the set, so this ends.
   const auto solve_with_set = [&]() noexcept {
     bool redundant = false;
@@ -366,7 +367,7 @@ bool ModelEvaluator::settle(const HapticModel& model) noexcept {
   bool exact = solve_with_set();
   int worst = violations(model);
   int fewest = worst + 1;
-  for (; worst > 0 && pivots_left_ > 0; --pivots_left_) {
+  for (int pivot = 0; worst > 0 && pivot < pivots_most; ++pivot) {
     ++pivots_;
     if (worst < fewest) {
       fewest = worst;
@@ -486,7 +487,10 @@ bool is_sound(const HapticModel& m) noexcept {
 void complete_model(HapticModel& model) noexcept {
   ModelEvaluator at_rest;
   at_rest.begin(model);
-  at_rest.resolve(model, Twist{}, {});
+  // Not a tick: a model that was coupled starts from multipliers that are not its own.
+  constexpr std::uint64_t kCallsMax = 8;
+  for (std::uint64_t call = 0; call < kCallsMax && at_rest.fallbacks_ == call; ++call)
+    at_rest.resolve(model, Twist{}, {});
   model.wrench = model.bilateral_wrench;
   for (int r = 0; r < model.rows; ++r) {
     for (int i = 0; i < 3; ++i) {

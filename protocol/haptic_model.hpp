@@ -219,7 +219,7 @@ class ModelEvaluator {
   void solve_free(std::array<double, kModelRowsMax>& x) const noexcept;
   int violations(const HapticModel& model) noexcept;
   void resolve(const HapticModel& model, const Twist& xi, std::span<const Twist> others) noexcept;
-  bool settle(const HapticModel& model) noexcept;
+  bool settle(const HapticModel& model, int pivots_most) noexcept;
   void drag(const HapticModel& model, double slide_m, std::int64_t now_ns, Wrench& w) noexcept;
   void follow(const HapticModel& model) noexcept;
 
@@ -228,8 +228,7 @@ class ModelEvaluator {
   double residual_m_ = 0.0;
   int free_count_ = 0;
   bool factored_ = false;
-  bool fresh_ = true;    // no call with this model yet
-  int pivots_left_ = 0;  // of this call
+  bool fresh_ = true;  // no call with this model yet
   std::array<Row, kModelRowsMax> state_{};
   std::array<Row, kModelRowsMax> wanted_{};
   std::array<std::int32_t, kModelRowsMax> free_{};       // indices of the free rows

@@ -135,6 +135,14 @@ bool invert(Matrix6 a, Matrix6& inverse) noexcept {
   return true;
 }
 
+/// |g|² in the coordinates (t, ℓθ): what a spring or damper along the slide is at the hand, of one.
+double gradient_squared(const HapticModel& model) noexcept {
+  double sum = 0.0;
+  for (int i = 0; i < 6; ++i)
+    sum += std::pow(model.slide_gradient[i] / (i < 3 ? 1.0 : model.characteristic_length_m), 2);
+  return sum;
+}
+
 }  // namespace
 
 double couple_model(HapticModel& model, double max_stiffness_n_per_m) noexcept {
@@ -162,9 +170,7 @@ double couple_model(HapticModel& model, double max_stiffness_n_per_m) noexcept {
   diagonalise(stiffest, axes, stiffness);
   const double largest = *std::max_element(stiffness.begin(), stiffness.end());
   // At a turn of the hand the friction of a needle is as stiff as the tissue that it drags along.
-  double dragged = 0.0;
-  for (int i = 0; i < 6; ++i)
-    dragged += model.slide_stiffness * std::pow(model.slide_gradient[i] * unit(i), 2);
+  const double dragged = model.slide_stiffness * gradient_squared(model);
   if (largest + dragged > max_stiffness_n_per_m) model.slide_drag_n_s_per_m = 0.0;
   // A model that was coupled already is at the limit, but for rounding.
   if (!(largest > max_stiffness_n_per_m * (1.0 + 1e-9))) return largest;
@@ -223,7 +229,8 @@ double couple_model(HapticModel& model, double max_stiffness_n_per_m) noexcept {
 }
 
 void limit_damping(HapticModel& model, double max_damping_n_s_per_m) noexcept {
-  if (max_damping_n_s_per_m > 0.0 && model.slide_drag_n_s_per_m > max_damping_n_s_per_m)
+  const double felt_n_s_per_m = model.slide_drag_n_s_per_m * gradient_squared(model);
+  if (max_damping_n_s_per_m > 0.0 && felt_n_s_per_m > max_damping_n_s_per_m)
     model.slide_drag_n_s_per_m = 0.0;
 }
 

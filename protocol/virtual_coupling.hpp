@@ -50,10 +50,11 @@ double couple_model(HapticModel& model, double max_stiffness_n_per_m) noexcept;
 /// Holds the friction of `model` as it was in its step where following the speed of the slide
 /// would damp the hand by more than `max_damping_n_s_per_m`.
 ///
-/// The slide's c is the only damper of a model. A device renders one stably up to some strength
-/// (its velocity is a difference of positions, a tick late), and its maker says so in
-/// DeviceProfile. A weaker c would not do: the force would fall from the step's friction to the
-/// weaker one within each period, and buzz.
+/// The slide's c is the only damper of a model. The hand feels c g gᵀ, at most c |g|² in the
+/// coordinates (t, ℓθ); so damping of a turn is limited to ℓ² times the limit. A device renders one
+/// stably up to some strength (its velocity is a difference of positions, a tick late), and its
+/// maker says so in DeviceProfile. A weaker c would not do: the force would fall from the step's
+/// friction to the weaker one within each period, and buzz.
 ///
 /// At the tool, in the world, as of `couple_model`. Not positive or not finite: no limit.
 /// Thread: any. Allocates: nothing.

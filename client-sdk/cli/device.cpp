@@ -364,7 +364,6 @@ class Player {
     options.tool = track.tool;
     options.render = renders_itself_ ? Render::kDevice : Render::kServer;
     options.model = "suture device";
-    options.rate_hz = arguments.rate_hz;
     options.limits = {.max_force_n = arguments.max_force_n,
                       .max_force_slew_n_per_s = arguments.max_slew_n_per_s,
                       .max_stiffness_n_per_m = arguments.max_stiffness_n_per_m,

@@ -213,8 +213,7 @@ bool ToolChannel::publish_model(const suture::HapticModel& model, std::int64_t t
   StampedModel& to = models_.back();
   to.model = model;
   const double scale = targets_.front().frame == Frame::kDevice ? hand_over_tool_stiffness_ : 1.0;
-  suture::limit_damping(to.model,
-                        max_damping_n_s_per_m_.load(std::memory_order_relaxed) / scale);
+  suture::limit_damping(to.model, max_damping_n_s_per_m() / scale);
   suture::couple_model(to.model, max_stiffness_n_per_m() / scale);
   to.taken_ns = taken_ns;
   to.published_ns = now_ns;

@@ -292,6 +292,10 @@ class ToolChannel {
   [[nodiscard]] double max_stiffness_n_per_m() const noexcept {
     return max_stiffness_n_per_m_.load(std::memory_order_relaxed);
   }
+  /// Returns how strongly models may damp the hand (N s/m); 0: the device sets no limit.
+  [[nodiscard]] double max_damping_n_s_per_m() const noexcept {
+    return max_damping_n_s_per_m_.load(std::memory_order_relaxed);
+  }
   /// Returns how old a pose may be before the force fades: the scene's time, and longer for
   /// a pointer. Any thread.
   [[nodiscard]] std::int64_t pose_stale_after_ns() const noexcept;

@@ -140,6 +140,7 @@ void model(const v1::HapticModel& wire) {
   for (const double stiffest_n_per_m : {0.0, 50.0}) {
     DeviceLimits device;
     device.max_stiffness_n_per_m = stiffest_n_per_m;
+    device.max_damping_n_s_per_m = 0.02 * stiffest_n_per_m;
     const auto renderer = std::make_unique<ModelRenderer>(device, 2.0);
     Force server;
     server.state = ForceState::kRendering;

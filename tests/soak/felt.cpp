@@ -38,8 +38,20 @@ FeltForces::FeltForces(std::uint64_t seed, const scene::Scene& scene)
     tool.name = description.name;
     tool.channel = std::make_unique<haptics::ToolChannel>(description, period_ns);
     tool.channel->join(board_, tools_.size());
+    tool.frame = random_.chance(0.5) ? haptics::Frame::kWorld : haptics::Frame::kDevice;
+    haptics::DeviceLimits device;
+    device.force.max_force_n = random_.one_of({0.0, 0.5, 2.0, 100.0});
+    device.force.max_force_slew_n_per_s = random_.one_of({0.0, 20.0, 1e4});
+    device.max_stiffness_n_per_m = random_.one_of({0.0, 50.0, 2000.0});
+    device.max_damping_n_s_per_m = random_.one_of({0.0, 0.01, 5.0});
+    tool.channel->set_device_limits(device);
     tools_.push_back(std::move(tool));
   }
+}
+
+void FeltForces::reset() {
+  ++epoch_;
+  for (Tool& tool : tools_) tool.changed = 0;
 }
 
 std::optional<std::string> FeltForces::play(const simulation::Simulation& sim,
@@ -48,22 +60,21 @@ std::optional<std::string> FeltForces::play(const simulation::Simulation& sim,
   const auto step_ns = static_cast<std::int64_t>(1e9 * dt_s);
   const auto taken_ns = now_ns_ + step_ns;
   for (; now_ns_ < taken_ns; now_ns_ += kTick_ns) {
-    ++ticks_;
     const double share =
         1.0 - static_cast<double>(taken_ns - now_ns_) / static_cast<double>(step_ns);
     for (std::size_t t = 0; t < tools_.size(); ++t) {
       Tool& tool = tools_[t];
       haptics::ToolChannel& channel = *tool.channel;
-      if (random_.chance(0.001)) tool.lost = random_.below(60);
+      if (random_.chance(0.001)) tool.lost_poses = random_.below(60);
       if (random_.chance(channel.stopped() ? 0.02 : 0.0005))
         channel.set_stopped(!channel.stopped());
       const bool sends = inputs[t].present || tool.last.present;
-      if (sends && tool.lost-- <= 0) {
+      if (sends && tool.lost_poses-- <= 0) {
         haptics::PoseSample pose;
         pose.writer = 1;
         pose.sequence = ++tool.poses;
         pose.stamp_ns = now_ns_;
-        pose.frame = haptics::Frame::kWorld;
+        pose.frame = tool.frame;
         pose.pose = pose_between(tool.last.present ? tool.last : inputs[t],
                                  inputs[t].present ? inputs[t] : tool.last, share);
         pose.jaw = inputs[t].jaw;
@@ -85,8 +96,10 @@ std::optional<std::string> FeltForces::play(const simulation::Simulation& sim,
     model_->period_ns = step_ns;
     model_->stale_after_ns = haptics::model_stale_after_ns(step_ns);
     if (response.world_changed) tool.changed = model_->sequence;
-    model_->changed_sequence = std::min(tool.changed, model_->sequence);
+    model_->changed_sequence = tool.changed;
     haptics::fill_model(response, *model_);
+    if (random_.chance(0.005)) tool.lost_models = random_.below(20);
+    if (tool.lost_models-- > 0) continue;
     if (!tool.channel->publish_model(*model_, taken_ns, now_ns_))
       return "the model of " + tool.name + " was refused";
   }
@@ -106,6 +119,7 @@ std::optional<std::string> FeltForces::hold(Tool& tool, const haptics::ForceSamp
                     torque_nm <= limits.max_torque_nm * (1.0 + kRounding) &&
                     step_n <= limits.max_force_slew_n_per_s * elapsed_s + kRounding &&
                     turn_nm <= limits.max_torque_slew_nm_per_s * elapsed_s + kRounding;
+  ++forces_;
   felt_ += force_n > 0.0;
   largest_n_ = std::max(largest_n_, force_n);
   tool.force = force;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // What the hands of a random surgeon would feel: each tool's own channel, at 1 kHz, on a clock that
-// the simulation's steps move. Devices send their poses on the straight way from step to step; some
-// are lost, and some hands go away.
+// the simulation's steps move. Devices, each with limits of its own, send their poses on the
+// straight way from step to step, in the world's frame or in theirs; some poses and models are
+// lost, hands go away, and tools are stopped.
 #pragma once
 
 #include <memory>
@@ -22,15 +23,16 @@ class FeltForces {
   FeltForces(std::uint64_t seed, const scene::Scene& scene);
 
   /// The world was replaced.
-  void reset() { ++epoch_; }
+  void reset();
   /// Plays the ticks between the last step and this one, whose inputs were `inputs`, and hands the
   /// step's models over. Returns what is wrong with a force, or nothing.
   [[nodiscard]] std::optional<std::string> play(const simulation::Simulation& sim,
                                                 const std::vector<simulation::ToolInput>& inputs,
                                                 double dt_s);
 
-  [[nodiscard]] std::uint64_t ticks() const { return ticks_; }
-  /// Of those, the ones at which a hand felt something.
+  /// Returns how many forces the hands were given.
+  [[nodiscard]] std::uint64_t forces() const { return forces_; }
+  /// Returns how many of them were not zero.
   [[nodiscard]] std::uint64_t felt() const { return felt_; }
   [[nodiscard]] double largest_n() const { return largest_n_; }
 
@@ -42,7 +44,8 @@ class FeltForces {
     haptics::ForceSample force;
     std::int64_t force_ns = 0;
     std::uint64_t poses = 0, changed = 0;
-    int lost = 0;  ///< poses that will not arrive
+    haptics::Frame frame = haptics::Frame::kWorld;
+    int lost_poses = 0, lost_models = 0;  ///< that will not arrive
   };
   std::optional<std::string> hold(Tool& tool, const haptics::ForceSample& force,
                                   std::int64_t now_ns);
@@ -52,7 +55,7 @@ class FeltForces {
   std::vector<Tool> tools_;
   std::unique_ptr<suture::HapticModel> model_;
   std::int64_t now_ns_ = 1'000'000'000;
-  std::uint64_t epoch_ = 1, ticks_ = 0, felt_ = 0;
+  std::uint64_t epoch_ = 1, forces_ = 0, felt_ = 0;
   double largest_n_ = 0.0;
 };
 

@@ -36,7 +36,7 @@ constexpr unsigned kHangs_s = 600;
 /// What one surgeon left; crosses a pipe.
 struct Outcome {
   bool good = false;
-  std::uint64_t steps = 0, inverted_steps = 0, substeps = 0, ticks = 0, felt_ticks = 0;
+  std::uint64_t steps = 0, inverted_steps = 0, substeps = 0, forces = 0, felt_forces = 0;
   int resets = 0, replays = 0, inverted_tets = 0, rows = 0;
   double residual = 0.0, displacement_m = 0.0, force_n = 0.0, tension_n = 0.0, felt_n = 0.0;
   std::array<std::uint64_t, kEventKinds> events{};
@@ -128,8 +128,8 @@ Outcome play(std::uint64_t seed, int steps, bool verbose) {
         out.displacement_m =
             std::max(out.displacement_m, (sim.positions_m()[v] - sim.rest_positions_m()[v]).norm());
   }
-  out.ticks = felt.ticks();
-  out.felt_ticks = felt.felt();
+  out.forces = felt.forces();
+  out.felt_forces = felt.felt();
   out.felt_n = felt.largest_n();
   if (seed % 5 == 0) {
     Simulation again(scene);
@@ -245,8 +245,8 @@ int main(int argc, char** argv) {
     sum.displacement_m = std::max(sum.displacement_m, outcome.displacement_m);
     sum.force_n = std::max(sum.force_n, outcome.force_n);
     sum.tension_n = std::max(sum.tension_n, outcome.tension_n);
-    sum.ticks += outcome.ticks;
-    sum.felt_ticks += outcome.felt_ticks;
+    sum.forces += outcome.forces;
+    sum.felt_forces += outcome.felt_forces;
     sum.felt_n = std::max(sum.felt_n, outcome.felt_n);
     for (std::size_t i = 0; i < kEventKinds; ++i) sum.events[i] += outcome.events[i];
     running.erase(child);
@@ -260,7 +260,7 @@ int main(int argc, char** argv) {
       "%llu slack, %llu unthreaded, %llu slips, %llu limits, %llu inverted, %llu residuals\n"
       "  most: residual %.2g, %d rows, tool %.3g N, tension %.3g N, displacement %.3g mm, "
       "%d tets inside out (in %llu steps)\n"
-      "  hands: %.3g N at most in %llu ticks, something to feel in %llu forces\n",
+      "  hands: %.3g N at most in %llu forces, %llu of them not zero\n",
       static_cast<unsigned long long>(done), static_cast<unsigned long long>(sum.steps),
       static_cast<unsigned long long>(sum.substeps), sum.resets, sum.replays,
       static_cast<unsigned long long>(failed), n(EventKind::kGrasp), n(EventKind::kRelease),
@@ -269,6 +269,10 @@ int main(int argc, char** argv) {
       n(EventKind::kInverted), n(EventKind::kSolverResidual), sum.residual, sum.rows, sum.force_n,
       sum.tension_n, 1e3 * sum.displacement_m, sum.inverted_tets,
       static_cast<unsigned long long>(sum.inverted_steps), sum.felt_n,
-      static_cast<unsigned long long>(sum.ticks), static_cast<unsigned long long>(sum.felt_ticks));
-  return failed == 0 ? 0 : 1;
+      static_cast<unsigned long long>(sum.forces),
+      static_cast<unsigned long long>(sum.felt_forces));
+  // Some feel nothing for a long time; ten of them something in a tenth of their forces.
+  const bool felt = sum.felt_forces > sum.forces / 10;
+  if (done >= 10 && !felt) std::printf("the hands feel too little: forces are not tried\n");
+  return failed == 0 && (felt || done < 10) ? 0 : 1;
 }

@@ -139,7 +139,7 @@ struct Device::State {
         guard(std::chrono::nanoseconds(options.silent_after).count()) {}
 
   void connect();
-  void tell_profile();
+  void tell_profile(double rate_hz);
   void listen_to_models();
   [[nodiscard]] Force feel(const Hand& from, std::int64_t taken_ns, std::int64_t now_ns) noexcept;
   [[nodiscard]] Force shown(const Force& answer, const Hand& from, std::int64_t taken_ns,
@@ -202,6 +202,7 @@ struct Device::State {
   // Last: destroyed first, so that no callback outlives what it uses.
   Writer<v1::ToolPose> writer;
   Writer<v1::DeviceProfile> profile_writer;
+  std::uint64_t profiles_told = 0;
   Writer<v1::ToolRendered> rendered_writer;
   Reader<v1::ToolForce> reader;
   Reader<v1::HapticModel> model_reader;
@@ -254,7 +255,8 @@ void Device::State::connect() {
   from_reader.matched = [this](int) { doorbell.ring(); };
   from_reader.incompatible_qos = note_policy;
   reader = Reader<v1::ToolForce>(participant, std::move(from_reader));
-  tell_profile();
+  profile_writer = Writer<v1::DeviceProfile>(participant);
+  tell_profile(0.0);  // not known before `run`
   if (options.render == Render::kDevice) listen_to_models();
   wanted = shown_by = options.render;
   ready.store(true, std::memory_order_release);
@@ -273,16 +275,15 @@ void Device::State::connect() {
 }
 
 // Before the first pose, so that it is there when the lease begins.
-void Device::State::tell_profile() {
-  profile_writer = Writer<v1::DeviceProfile>(participant);
+void Device::State::tell_profile(double rate_hz) {
   v1::DeviceProfile profile{};
   set_text(profile.tool, options.tool);
   profile.epoch = epoch.load(std::memory_order_relaxed);
-  profile.sequence_number = 1;
+  profile.sequence_number = ++profiles_told;
   profile.stamp_ns = wall_clock_ns();
   set_guid(profile.device, writer.guid());
   set_text(profile.model, options.model);
-  profile.rate_hz = options.rate_hz;
+  profile.rate_hz = rate_hz;
   profile.max_force_n = options.limits.max_force_n;
   profile.max_torque_nm = options.limits.max_torque_nm;
   profile.max_stiffness_n_per_m = options.limits.max_stiffness_n_per_m;
@@ -411,6 +412,7 @@ void Device::run(const Tick& tick, double rate_hz) {
     throw Error(ErrorCode::kBadInput, "a device cannot run at this rate", "take 1 to 4000 Hz");
   }
   State& state = *state_;
+  state.tell_profile(rate_hz);
   const RealtimeScope realtime(kTickPriority);
   const auto period_ns = static_cast<std::int64_t>(std::llround(1e9 / rate_hz));
   const std::int64_t give_up_ns = std::chrono::nanoseconds(state.options.give_up_after).count();

@@ -35,9 +35,9 @@ struct ReceivedModel {
 
 /// Fills `received` from the wire; false, with `received` in an unspecified state, where
 /// sizes do not fit together, the reference is no pose or a number is not finite. The model is
-/// coupled to what `device` renders stably (protocol/virtual_coupling.hpp) and the limits are the
-/// smaller ones of tool and device. A hand that is `in_world` is not scaled, nor is what it feels.
-/// Allocates nothing.
+/// coupled to, and damps no more than, what `device` renders stably
+/// (protocol/virtual_coupling.hpp), and the limits are the smaller ones of tool and device. A hand
+/// that is `in_world` is not scaled, nor is what it feels. Allocates nothing.
 [[nodiscard]] bool receive_model(const v1::HapticModel& wire, std::int64_t arrived_ns,
                                  const DeviceLimits& device, ReceivedModel& received,
                                  bool in_world = false) noexcept;

@@ -241,16 +241,18 @@ TEST(ReceivedModel, IsCoupledToWhatTheHandFeelsOfIt) {
 TEST(ReceivedModel, DampsTheHandNoMoreThanTheDeviceRenders) {
   const auto drag_of = [&](double max_damping_n_s_per_m, double motion_scale, bool in_world) {
     v1::HapticModel wire = spring_model(100.0);
-    wire.slide_drag_n_s_per_m = 0.2;
+    wire.slide_drag_n_s_per_m = 0.1;
+    wire.slide_gradient[0] = 1.0;
+    wire.slide_gradient[4] = 0.01;  // at an arm of 10 mm: twice as much
     wire.mapping.motion_scale = motion_scale;
     const auto received = std::make_unique<ReceivedModel>();
     EXPECT_TRUE(receive_model(wire, 1, {.max_damping_n_s_per_m = max_damping_n_s_per_m}, *received,
                               in_world));
     return received->model.slide_drag_n_s_per_m;
   };
-  EXPECT_EQ(drag_of(0.0, 1.0, false), 0.2) << "a device that tells no limit";
+  EXPECT_EQ(drag_of(0.0, 1.0, false), 0.1) << "a device that tells no limit";
   EXPECT_EQ(drag_of(0.15, 1.0, false), 0.0);
-  EXPECT_EQ(drag_of(0.15, 0.5, false), 0.2) << "a hand that is scaled down feels half of it";
+  EXPECT_EQ(drag_of(0.15, 0.5, false), 0.1) << "a hand that is scaled down feels half of it";
   EXPECT_EQ(drag_of(0.15, 0.5, true), 0.0) << "one that is in the world, all of it";
 }
 

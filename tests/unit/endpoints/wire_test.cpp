@@ -34,6 +34,23 @@ TEST(PoseSample, KeepsEveryFieldOfTheWire) {
   EXPECT_FALSE(sample.goodbye);
 }
 
+TEST(DeviceLimits, KeepWhatAProfileTells) {
+  suture::v1::DeviceProfile wire{};
+  wire.max_force_n = 1.0;
+  wire.max_torque_nm = 2.0;
+  wire.max_force_slew_n_per_s = 3.0;
+  wire.max_stiffness_n_per_m = 4.0;
+  wire.max_damping_n_s_per_m = 5.0;
+  wire.pointer = true;
+  const haptics::DeviceLimits limits = device_limits(wire);
+  EXPECT_EQ(limits.force.max_force_n, 1.0);
+  EXPECT_EQ(limits.force.max_torque_nm, 2.0);
+  EXPECT_EQ(limits.force.max_force_slew_n_per_s, 3.0);
+  EXPECT_EQ(limits.max_stiffness_n_per_m, 4.0);
+  EXPECT_EQ(limits.max_damping_n_s_per_m, 5.0);
+  EXPECT_TRUE(limits.pointer);
+}
+
 TEST(SetForce, EchoesThePoseAndSaysWhatItIs) {
   haptics::ForceSample force;
   force.sequence = 3;

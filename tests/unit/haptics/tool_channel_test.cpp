@@ -518,8 +518,10 @@ TEST(ToolChannel, KeepsToTheSmallerOfSceneAndDevice) {
 /// A needle that is drawn on at 0.1 m/s, and then stands: friction follows the speed, or stays as
 /// it was in the step where that damps the hand by more than its device renders.
 TEST(ToolChannel, DampsTheHandNoMoreThanItsDeviceRenders) {
-  const auto friction_felt_n = [](double max_damping_n_s_per_m) {
-    Rig rig;
+  const auto friction_felt_n = [](double max_damping_n_s_per_m, double motion_scale = 1.0) {
+    scene::Tool tool;
+    tool.workspace.motion_scale = motion_scale;
+    Rig rig(tool);
     rig.couple = [](suture::HapticModel& model) {
       model.bilateral_wrench.force_n[1] = -0.5;
       model.slide_twist[1] = model.slide_gradient[1] = 1.0;
@@ -539,6 +541,7 @@ TEST(ToolChannel, DampsTheHandNoMoreThanItsDeviceRenders) {
   EXPECT_NEAR(friction_felt_n(0.1), 0.5, 1e-9);
   EXPECT_LT(friction_felt_n(0.3), 0.05);
   EXPECT_LT(friction_felt_n(0.0), 0.05);
+  EXPECT_LT(friction_felt_n(0.15, 0.5), 0.05) << "a hand that is scaled down feels half of it";
 }
 
 TEST(ToolChannel, NeitherAllocatesNorLocks) {

@@ -502,21 +502,29 @@ TEST(HapticModel, ChangesItsSetFourTimesACallAtMostAlsoInAModelsFirst) {
   RandomModels random(13);
   constexpr std::uint64_t kMost = ModelEvaluator::kPivotsMax;
   std::uint64_t most = 0;
+  int ran_out = 0;
   for (int trial = 0; trial < 200; ++trial) {
     HapticModel model = random.make(30);
-    for (int i = 0; i < model.rows; i += 3) {  // those of 0.05 N
+    for (int i = 0; i < model.rows; i += 3) {
       model.bound_row[i] = i + 1;
       model.bound_slope[i] = random.uniform(0.1, 1.0);
     }
     complete_model(model);
     ModelEvaluator evaluator;
-    for (int call = 0; call < 3; ++call) {  // the hand is far away
-      const std::uint64_t before = evaluator.pivots();
-      (void)evaluator.evaluate(model, moved(random.twist(5e-3, 0.2)));
-      EXPECT_LE(evaluator.pivots() - before, kMost);
+    const Pose away = moved(random.twist(5e-3, 0.2));
+    for (int call = 0; call < 30; ++call) {
+      const std::uint64_t before = evaluator.pivots(), clamped = evaluator.fallbacks();
+      const Wrench w = evaluator.evaluate(model, away);
       most = std::max(most, evaluator.pivots() - before);
+      ASSERT_LE(evaluator.pivots() - before, kMost);
+      for (int i = 0; i < 3; ++i) ASSERT_TRUE(std::isfinite(w.force_n[i] + w.torque_nm[i]));
+      if (evaluator.fallbacks() > clamped) ++ran_out;
+      if (call == 29) {
+        EXPECT_EQ(evaluator.fallbacks(), clamped) << "it settles where the hand stays";
+      }
     }
   }
+  EXPECT_GT(ran_out, 0);
   EXPECT_EQ(most, kMost) << "the leaps were meant to use them up";
 }
 

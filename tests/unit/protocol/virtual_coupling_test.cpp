@@ -116,15 +116,18 @@ TEST(VirtualCoupling, HoldsTheFrictionOfANeedleWhereItWouldBeStifferThanTheDevic
 TEST(VirtualCoupling, HoldsTheFrictionOfANeedleThatWouldDampMoreThanTheDeviceRenders) {
   const auto drag = [](double max_damping_n_s_per_m) {
     const auto model = std::make_unique<HapticModel>();
-    model->slide_drag_n_s_per_m = 0.2;
+    model->slide_drag_n_s_per_m = 0.1;
+    model->characteristic_length_m = kLength_m;
+    model->slide_gradient[1] = 1.0;
+    model->slide_gradient[3] = kLength_m;  // felt as 0.2
     limit_damping(*model, max_damping_n_s_per_m);
     return model->slide_drag_n_s_per_m;
   };
-  EXPECT_EQ(drag(0.3), 0.2);
-  EXPECT_EQ(drag(0.1), 0.0);
+  EXPECT_EQ(drag(0.21), 0.1);
+  EXPECT_EQ(drag(0.19), 0.0);
   for (const double none : {0.0, -1.0, std::numeric_limits<double>::quiet_NaN(),
                             std::numeric_limits<double>::infinity()})
-    EXPECT_EQ(drag(none), 0.2) << none;
+    EXPECT_EQ(drag(none), 0.1) << none;
 }
 
 TEST(VirtualCoupling, ChangesNothingWhereTheDeviceIsStiffEnough) {

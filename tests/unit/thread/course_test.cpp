@@ -3,12 +3,16 @@
 
 #include <gtest/gtest.h>
 
+#include <span>
+#include <vector>
+
 #include "support/block_mesh.hpp"
 
 namespace sutured::thread {
 namespace {
 
-/// Half of what lies between two middles and the ends: the stretches that the middles stand for.
+/// Returns where the last stretch ends along the line, each as long as puts its point in its
+/// middle.
 double covered_m(const std::vector<MaterialPoint>& course, std::span<const Vec3> x,
                  const Vec3& from, const Vec3& to) {
   const Vec3 way = (to - from).normalized();

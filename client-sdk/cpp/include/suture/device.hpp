@@ -27,10 +27,10 @@ struct DeviceOptions {
   Render render = Render::kServer;  ///< at the beginning; see Device::set_render
   /// What the device can do: told to the server, which keeps to the smaller of this and the
   /// scene's limits; so does the SDK, last before the hand, whoever renders. A model stiffer than
-  /// the device renders stably is softened, in those directions only, by a virtual coupling.
+  /// the device renders stably is softened, in those directions only, by a virtual coupling; the
+  /// friction of a needle that damps more is held from step to step.
   DeviceLimits limits;
-  std::string model;     ///< name of the device for people, at most 63 bytes
-  double rate_hz = 0.0;  ///< how often it will write poses, for people; 0: not known
+  std::string model;  ///< name of the device for people, at most 63 bytes
   /// Faster than so, in its own frame, no hand moves: beyond it a hand has jumped.
   double max_speed_m_per_s = 2.0;
   std::chrono::milliseconds timeout{3000};  ///< to find the server

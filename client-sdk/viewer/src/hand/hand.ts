@@ -149,13 +149,13 @@ export class Hand {
     this.#jaw = Math.min(1, Math.max(0, jaw));
   }
 
-  /** Leads the open jaw to the nearest needle, at a hand's pace. Returns whether there is one. */
+  /** Leads the open jaw to the nearest needle, at a hand's pace. Returns whether there is one, and the jaw is free. */
   reach(): boolean {
     if (!this.#tool) return false;
     const at = this.#target.position;
     const far = (needle: NeedleState) => length(subtract([...needle.position_m] as Vec3, at));
     const needle = this.#world.needles().filter((n) => n.course_m.length >= 6).sort((a, b) => far(a) - far(b))[0];
-    if (!needle || needle.holder === this.#tool) return false;
+    if (!needle || this.#holding() !== "") return false;
     const holder = needle.holder === "" ? undefined : this.#world.toolView(needle.holder);
     const holderPose = holder && {
       position: [...holder.position_m] as Vec3, orientation: [...holder.orientation_xyzw] as Pose["orientation"],
@@ -165,9 +165,9 @@ export class Hand {
     return true;
   }
 
-  /** Leads the open jaw to the nearest thread, where one takes it to pull it. Returns whether there is one. */
+  /** Leads the open jaw to the nearest thread, where one takes it to pull it. Returns whether there is one, and the jaw is free. */
   reachForThread(): boolean {
-    if (!this.#tool) return false;
+    if (!this.#tool || this.#holding() !== "") return false;
     const far = (at: Vec3) => length(subtract(at, this.#target.position));
     const places = this.#world.threads().map(threadPlace).filter((place) => place !== undefined);
     const place = places.sort((a, b) => far(a.at) - far(b.at))[0];
@@ -226,6 +226,10 @@ export class Hand {
     this.#way = [];
     const q = about(normalized(turn), length(turn));
     this.#target = { ...this.#target, orientation: unit(multiply(q, this.#target.orientation)) };
+  }
+
+  #holding(): string {
+    return (this.#tool && this.#world.toolView(this.#tool)?.holding) || "";
   }
 
   #heldNeedle(): NeedleMotion | undefined {

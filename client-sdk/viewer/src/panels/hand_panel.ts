@@ -92,11 +92,11 @@ export class HandPanel {
   }
 
   reach(): void {
-    if (!this.#hand.reach()) announce("There is no free needle to reach for");
+    if (!this.#hand.reach()) announce("There is no free needle to reach for, or the jaw holds something");
   }
 
   reachForThread(): void {
-    if (!this.#hand.reachForThread()) announce("There is no thread to reach for");
+    if (!this.#hand.reachForThread()) announce("There is no thread to reach for, or the jaw holds something");
   }
 
   /** Holds that tool, or lets go of it. */
