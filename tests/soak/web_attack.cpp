@@ -21,6 +21,7 @@
 #include <utility>
 #include <vector>
 
+#include "soak/long_session.hpp"
 #include "support/process.hpp"
 #include "support/process_facts.hpp"
 #include "support/temporary_folder.hpp"
@@ -380,16 +381,22 @@ struct Counts {
 
 int run(std::size_t count, std::uint64_t seed) {
   const testing::TemporaryFolder folder;
-  const std::string domain = std::to_string(2 * (getpid() % 100));
-  const std::string session = "web-attack-" + std::to_string(getpid());
+  suture::SessionOptions session;
+  session.domain = static_cast<std::uint32_t>(2 * (getpid() % 100));
+  session.session = "web-attack-" + std::to_string(getpid());
   const auto in_session = [&](std::vector<std::string> words) {
-    words.insert(words.end(), {"--domain", domain, "--session", session});
+    words.insert(words.end(),
+                 {"--domain", std::to_string(session.domain), "--session", session.session});
     return words;
   };
   testing::Process server(
       in_session({SUTURED_PROGRAM, "serve", kFolder + "scene.toml", "--http", "0"}));
   server.read_until("viewer at http://127.0.0.1:");
   const std::uint16_t port = testing::port_of(server.read_until("/\n"));
+  {
+    suture::Session commands(session);
+    fill_history(commands);
+  }
   testing::Process hand(
       in_session({SUTURE_CLI, "device", "--surgeon", kFolder + "one_bite.csv", "--loop", "--quiet",
                   "--timeout", "20", "--summary", folder.path("hand.json")}));
