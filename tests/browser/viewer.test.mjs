@@ -96,8 +96,8 @@ describe("the viewer", { timeout: 240_000 }, () => {
   });
   // Each test leaves the page and its scene as it wants: the next one begins anew.
   let context = [];
-  const page = async (options) => {
-    const opened = await open(browser, server, options);
+  const page = async (options, of = server) => {
+    const opened = await open(browser, of, options);
     context.push(opened);
     return opened.page;
   };
@@ -226,12 +226,11 @@ describe("the viewer", { timeout: 240_000 }, () => {
 
   it("lets go of the needle, takes the thread, and pulls it taut", async () => {
     const folder = mkdtempSync(join(tmpdir(), "suture-browser-"));
-    let sewn, opened;
+    let sewn;
     try {
       sewn = await Server.start({ scene: sewnScene(folder) });
       // A small one: pictures without a GPU take the time of the hand.
-      const of = await open(browser, sewn, { viewport: { width: 720, height: 480 } });
-      opened = of.page;
+      const opened = await page({ viewport: { width: 720, height: 480 } }, sewn);
       const driver = opened.locator('[data-tool="driver"]');
       await driver.getByRole("button").click();
       await lease(opened, "held");
@@ -264,12 +263,8 @@ describe("the viewer", { timeout: 240_000 }, () => {
       await opened.getByRole("button", { name: "To the thread" }).click();
       await driver.getByText(/holds thread/).waitFor();
       await opened.getByRole("button", { name: "Open jaw" }).waitFor();
-      assert.deepEqual(of.faults, []);
-    } catch (error) {
-      if (opened) console.log(await shown(opened));
-      throw error;
+      assert.deepEqual(context[0].faults, []);
     } finally {
-      await opened?.close().catch(() => {});
       await sewn?.end();
       rmSync(folder, { recursive: true });
     }

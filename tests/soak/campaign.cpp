@@ -61,8 +61,8 @@ constexpr double kMaxGrowth_us = 1000.0;
 // held up where the machine is busy elsewhere (4.9 s at nine runnable processes for two
 // processors).
 constexpr double kMaxResume_s = 2.0;
-// What fills up to a bound has done so after a fifth, and not before a minute: of the 5 MiB that
-// come in four minutes the first has 4.7. Less than kFlatMin_s after that says nothing of growth.
+// What fills up to a bound has done so after a fifth, and not before a minute: of 4.8 MiB that came
+// in three minutes the first had 4.6. Less than kFlatMin_s after that says nothing of growth.
 constexpr double kWarmUp_s = 60.0;
 constexpr double kFlatMin_s = 100.0;
 

@@ -127,11 +127,11 @@ std::vector<Vec3> points_of(const scene::Scene& scene, std::span<const simulatio
   return points;
 }
 
-/// The counted length of the thread: from bite to bite, and within them where the tension acts
-/// there, cell by cell of the straight way at rest.
-double length_of(const scene::Scene& scene, const simulation::Simulation& sim) {
+/// The counted length of the thread through its punctures: from bite to bite, and within them where
+/// the tension acts there, cell by cell of the straight way at rest.
+double length_through(std::span<const Vec3> points, const scene::Scene& scene,
+                      const simulation::Simulation& sim) {
   const auto x = sim.positions_m(), rest = sim.rest_positions_m();
-  const auto points = points_of(scene, sim.bodies(), x);
   const auto at_rest = points_of(scene, sim.bodies(), rest);
   double sum = 0.0;
   for (std::size_t i = 0; i + 1 < points.size(); ++i) {
@@ -171,12 +171,13 @@ TEST_P(Closure, KeepsApartSettlesAndKeepsTheThreadsLength) {
   const simulation::ThreadState& thread = sim.threads()[0];
   EXPECT_GT(thread.tension_n, 0.0);
   EXPECT_EQ(sim.report().inverted_tets, 0);
-  EXPECT_NEAR(length_of(closure.scene, sim), closure.closed_length_m, 1e-9);
-  // The punctures that viewers are told, from head to tail, are those.
   const auto points = points_of(closure.scene, sim.bodies(), sim.positions_m());
-  ASSERT_EQ(thread.punctures.size(), points.size());
-  for (std::size_t p = 0; p < points.size(); ++p)
-    EXPECT_LT((thread.punctures[points.size() - 1 - p].position_m - points[p]).norm(), 1e-9);
+  EXPECT_NEAR(length_through(points, closure.scene, sim), closure.closed_length_m, 1e-9);
+  // And so do the punctures that viewers are told, from head to tail.
+  std::vector<Vec3> told;
+  for (const auto& puncture : thread.punctures) told.insert(told.begin(), puncture.position_m);
+  ASSERT_EQ(told.size(), points.size());
+  EXPECT_NEAR(length_through(told, closure.scene, sim), closure.closed_length_m, 1e-9);
   print(name_of(pull), watch.course);
   std::printf("%-24s %.4f N, mean gap %.3f mm\n", "", thread.tension_n,
               1e3 * testing::mean_gap_m(closure, sim.positions_m()));

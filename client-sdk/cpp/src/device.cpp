@@ -274,7 +274,8 @@ void Device::State::connect() {
   }
 }
 
-// Before the first pose, so that it is there when the lease begins.
+// First before any pose, so that it is there when the lease begins; once more by `run`, which knows
+// the rate.
 void Device::State::tell_profile(double rate_hz) {
   v1::DeviceProfile profile{};
   set_text(profile.tool, options.tool);

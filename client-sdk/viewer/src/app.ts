@@ -6,7 +6,7 @@ import type { ConnectionState } from "./connection/worker_messages";
 import { Pad } from "./hand/gamepad";
 import { Hand } from "./hand/hand";
 import { addRates, HeldKeys } from "./hand/held_keys";
-import { distanceToCourse } from "./hand/needle_course";
+import { distanceToCourse } from "./hand/course";
 import { listenToPointer } from "./hand/pointer";
 import { CommandKind, CommandResult, EventKind, ServerState, type ServerStatus } from "./protocol/messages";
 import { announce, byId, h } from "./panels/dom";

@@ -151,11 +151,11 @@ export class Hand {
 
   /** Leads the open jaw to the nearest needle, at a hand's pace. Returns whether there is one, and the jaw is free. */
   reach(): boolean {
-    if (!this.#tool) return false;
+    if (!this.#tool || this.#holding() !== "") return false;
     const at = this.#target.position;
     const far = (needle: NeedleState) => length(subtract([...needle.position_m] as Vec3, at));
     const needle = this.#world.needles().filter((n) => n.course_m.length >= 6).sort((a, b) => far(a) - far(b))[0];
-    if (!needle || this.#holding() !== "") return false;
+    if (!needle) return false;
     const holder = needle.holder === "" ? undefined : this.#world.toolView(needle.holder);
     const holderPose = holder && {
       position: [...holder.position_m] as Vec3, orientation: [...holder.orientation_xyzw] as Pose["orientation"],

@@ -1,13 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a hand needs to know of a needle: which way it goes, and where to take it.
 import {
-  about, add, cross, dot, length, multiply, normalized, perpendicular, rotate, scale, subtract, unit, conjugate,
-  turnedAbout, type Pose, type Quat, type Vec3,
+  add, conjugate, cross, dot, length, normalized, perpendicular, rotate, scale, subtract, turnedAbout, type Pose, type Quat, type Vec3,
 } from "../maths/vector";
 import { NeedleShape, type NeedleState } from "../protocol/messages";
-
-/** Returns the i-th point of a course. */
-export const point = (course: ArrayLike<number>, i: number): Vec3 => [course[3 * i]!, course[3 * i + 1]!, course[3 * i + 2]!];
+import { comeAlong, point, pointAt } from "./course";
 
 export type NeedleMotion =
   /** Positive turns about `axis` take the tip forward. */
@@ -39,34 +36,6 @@ export function driven(pose: Pose, motion: NeedleMotion, way_m: number): Pose {
   return turnedAbout(pose, motion.centre, scale(motion.axis, way_m / motion.radius_m));
 }
 
-/** Returns the point of a course at `share` of its length. */
-export function pointAt(course: ArrayLike<number>, share: number): Vec3 {
-  const points = course.length / 3;
-  let total = 0;
-  for (let i = 1; i < points; ++i) total += length(subtract(point(course, i), point(course, i - 1)));
-  let left = share * total;
-  for (let i = 1; i < points; ++i) {
-    const way = subtract(point(course, i), point(course, i - 1));
-    const step = length(way);
-    if (left <= step && step > 0) return add(point(course, i - 1), scale(way, left / step));
-    left -= step;
-  }
-  return point(course, points - 1);
-}
-
-/** Returns how far `at` is from a course, in metres; infinity for an empty one. */
-export function distanceToCourse(course: ArrayLike<number>, at: Vec3): number {
-  let best = Infinity;
-  for (let i = 0; 3 * i + 2 < course.length; ++i) {
-    const a = point(course, i);
-    const way = 3 * i + 5 < course.length ? subtract(point(course, i + 1), a) : ([0, 0, 0] as Vec3);
-    const n2 = dot(way, way);
-    const share = n2 > 0 ? Math.min(1, Math.max(0, dot(subtract(at, a), way) / n2)) : 0;
-    best = Math.min(best, length(subtract(at, add(a, scale(way, share)))));
-  }
-  return best;
-}
-
 /** From the tip: where a jaw that is near the tip, or near the tail, takes a needle. */
 const kNearTip = 0.12;
 const kNearTail = 0.88;
@@ -85,17 +54,6 @@ export function graspShare(needle: NeedleState, holder: Vec3 | undefined): numbe
   return Math.min(...arcs) > needle.length_m - Math.max(...arcs) ? kNearTip : kNearTail;
 }
 
-/** Returns `orientation` turned the short way so that its z axis, the shaft, is along `shaft`. */
-export function alignShaft(orientation: Quat, shaft: Vec3): Quat {
-  const now = rotate(orientation, [0, 0, 1]);
-  const axis = cross(now, shaft);
-  const angle = Math.atan2(length(axis), dot(now, shaft));
-  return unit(multiply(about(normalized(axis, perpendicular(now)), angle), orientation));
-}
-
-/** How far before the needle a hand stops first, so that it comes along its own shaft. */
-const kStandOff_m = 0.012;
-
 /**
  * Returns the poses on the way of an open jaw to the needle. The shaft stands across the needle's plane,
  * on the side of `towards` (the eye), or opposite to the shaft of who holds the needle.
@@ -105,10 +63,5 @@ export function reachNeedle(from: Pose, needle: NeedleState, towards: Vec3, hold
   let shaft = motion.kind === "arc" ? motion.axis : perpendicular(motion.direction);
   const side = holder ? scale(rotate(holder.orientation, [0, 0, 1]), -1) : towards;
   if (dot(shaft, side) < 0) shaft = scale(shaft, -1);
-  const orientation = alignShaft(from.orientation, shaft);
-  const at = pointAt(needle.course_m, graspShare(needle, holder?.position));
-  return [
-    { position: add(at, scale(shaft, kStandOff_m)), orientation },
-    { position: at, orientation },
-  ];
+  return comeAlong(from, pointAt(needle.course_m, graspShare(needle, holder?.position)), shaft);
 }
